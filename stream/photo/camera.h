@@ -1,0 +1,59 @@
+/// Cameras: lens models, poses, and projection both ways. All importers convert to this one convention.
+///
+/// Camera frame: x right, y down, z forward, metres (project units). Pixels: origin at the image's upper left corner, so the centre of
+/// pixel (column i, row j) is (i + 0.5, j + 0.5). Distortion maps undistorted to distorted, in focal-normalised coordinates.
+#pragma once
+#include <array>
+#include <optional>
+#include <string>
+
+#include "stream/base/types.h"
+
+namespace chiaro::stream {
+
+enum class LensKind {
+  kPerspective,  ///< rational radial + tangential: covers COLMAP SIMPLE_PINHOLE .. FULL_OPENCV, Metashape frame, Bundler
+  kFisheye,      ///< equidistant, k1..k4 polynomial in theta: COLMAP OPENCV_FISHEYE, (SIMPLE_)RADIAL_FISHEYE, Metashape fisheye
+};
+
+/// x = X/Z, y = Y/Z, r2 = x^2 + y^2,  rho = (1 + k1 r2 + k2 r2^2 + k3 r2^3 + k7 r2^4) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
+/// x_d = x rho + (2 p1 x y + p2 (r2 + 2 x^2)) t,  y_d = y rho + (p1 (r2 + 2 y^2) + 2 p2 x y) t,  t = 1 + p3 r2 + p4 r2^2
+/// u = cx + fx x_d + skew y_d,  v = cy + fy y_d
+/// source: OpenCV / COLMAP FULL_OPENCV (k1..k6, p1, p2); Metashape's K4 is k7, its P1, P2 are p2, p1, its P3, P4 are p3, p4; B1, B2: fx = f + B1, skew = B2.
+struct Lens {
+  LensKind kind = LensKind::kPerspective;
+  int width_px = 0, height_px = 0;
+  double fx = 0, fy = 0, cx = 0, cy = 0, skew = 0;
+  std::array<double, 7> k{};  ///< k1 .. k7 (fisheye: k1..k4 on theta)
+  std::array<double, 4> p{};  ///< p1 .. p4
+};
+
+/// World to camera, as COLMAP: p_in_camera = rotation_camera_from_world * p_in_world + translation_camera_from_world.
+struct Pose {
+  Mat3d rotation_camera_from_world = Mat3d::Identity();
+  Vec3d translation_camera_from_world = Vec3d::Zero();
+  Vec3d centre_in_world() const { return -rotation_camera_from_world.transpose() * translation_camera_from_world; }
+  Vec3d camera_from_world(const Vec3d& p_in_world) const { return rotation_camera_from_world * p_in_world + translation_camera_from_world; }
+  Vec3d world_from_camera(const Vec3d& p_in_camera) const { return rotation_camera_from_world.transpose() * (p_in_camera - translation_camera_from_world); }
+};
+
+struct Camera {
+  std::string photograph;  ///< name as the camera file gives it, e.g. "photo_00.exr" or "IMG_1234" (Metashape labels may lack the extension)
+  Lens lens;
+  Pose pose;
+};
+
+/// Pixel coordinates of a point in the camera frame; nullopt behind the camera or where the lens model folds back (beyond its monotonic range).
+/// The result may lie outside the image.
+std::optional<Vec2d> project(const Lens& lens, const Vec3d& p_in_camera);
+
+/// Unit direction in the camera frame of a pixel coordinate: the inverse of project(), by Newton iteration to 1e-10; nullopt where it does not converge.
+std::optional<Vec3d> unproject(const Lens& lens, const Vec2d& pixel);
+
+/// throws Error naming the camera if a value is not finite, a focal length or size not positive, or the rotation not orthonormal to 1e-4 (then re-orthonormalised).
+void check_camera(Camera& camera, const std::string& where);
+
+/// The same lens for a picture of another size (e.g. a 25 % copy): fx, fy, cx, cy, skew scale. throws Error if the aspect ratios differ by more than 1 %.
+Lens scaled_to(const Lens& lens, int width_px, int height_px, const std::string& where);
+
+}  // namespace chiaro::stream

@@ -1,0 +1,112 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "stream/base/budget.h"
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/base/hash.h"
+#include "stream/base/parallel.h"
+#include "stream/base/rng.h"
+
+namespace chiaro {
+namespace {
+
+TEST(Philox, GivesThePublishedNumbersForCounterZeroKeyZero) {
+  const auto r = philox4x32({0, 0, 0, 0}, {0, 0});
+  EXPECT_EQ(r, (std::array<std::uint32_t, 4>{0x6627e8d5, 0xe169c58d, 0xbc57ac4c, 0x9b00dbd8}));
+}
+
+TEST(Philox, NormalsHaveUnitVariance) {
+  double sum = 0, squares = 0;
+  constexpr int kCount = 20000;
+  for (int i = 0; i < kCount; ++i) {
+    const double v = normal01(7, Purpose::kTest, i, 0);
+    sum += v;
+    squares += v * v;
+  }
+  EXPECT_NEAR(sum / kCount, 0, 4 / std::sqrt(double{kCount}));              // 4 standard errors
+  EXPECT_NEAR(squares / kCount, 1, 4 * std::sqrt(2.0 / kCount));
+}
+
+TEST(Crc32c, MatchesTheCheckValueAndChains) {
+  EXPECT_EQ(crc32c("123456789", 9), 0xe3069283u);
+  EXPECT_EQ(crc32c("6789", 4, crc32c("12345", 5)), 0xe3069283u);
+}
+
+TEST(Hasher, DoesNotDependOnHowBytesArrive) {
+  const std::string text(100, 'x');
+  Hasher whole, pieces;
+  whole.add_bytes(text.data(), 100);
+  pieces.add_bytes(text.data(), 7);
+  pieces.add_bytes(text.data() + 7, 60);
+  pieces.add_bytes(text.data() + 67, 33);
+  EXPECT_EQ(whole.hex(), pieces.hex());
+  EXPECT_NE(whole.hex(), Hasher().add_bytes(text.data(), 99).hex());
+}
+
+TEST(MemoryBudget, RefusesWhatDoesNotFitAndSaysSo) {
+  MemoryBudget budget(1000);
+  const BudgetLease lease(budget, 600, "image");
+  EXPECT_FALSE(budget.try_take(401));
+  EXPECT_TRUE(budget.try_take(400));
+  budget.give(400);
+  try {
+    budget.take(500, "chunk cache");
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_NE(std::string(e.what()).find("chunk cache"), std::string::npos);
+  }
+  EXPECT_EQ(budget.peak_bytes(), 1000u);
+}
+
+TEST(ParseBytes, ReadsUnitsAndRefusesNonsense) {
+  EXPECT_EQ(parse_bytes("512MiB"), 512u << 20);
+  EXPECT_EQ(parse_bytes("2 GiB"), 2ull << 30);
+  EXPECT_EQ(parse_bytes("1.5GB"), 1500000000u);
+  EXPECT_EQ(parse_bytes("800"), 800u);
+  for (const char* bad : {"", "much", "-3GB", "3 parsec", "1e300 TiB", "nan"}) EXPECT_THROW(parse_bytes(bad), UsageError) << bad;
+}
+
+TEST(AtomicFile, AppearsOnlyWhenCommitted) {
+  const ScratchFolder folder;
+  const auto path = folder.path() / "a.txt";
+  {
+    AtomicFile file(path);
+    file.append("half");
+  }
+  EXPECT_FALSE(std::filesystem::exists(path));
+  EXPECT_TRUE(std::filesystem::is_empty(folder.path()));
+  write_text(path, "whole");
+  EXPECT_EQ(read_text(path), "whole");
+  EXPECT_THROW(read_text(path, 3), Error);
+}
+
+TEST(File, SaysWhereItEndsEarly) {
+  const ScratchFolder folder;
+  write_text(folder.path() / "short", "abc");
+  const File file(folder.path() / "short", File::Mode::kRead);
+  char buffer[8];
+  EXPECT_EQ(file.read_some_at(1, buffer, 8), 2u);
+  EXPECT_THROW(file.read_at(0, buffer, 8), Error);
+  EXPECT_THROW(File(folder.path(), File::Mode::kRead), Error);
+}
+
+TEST(Parallel, SumsTheSameBitsForAnyThreadCount) {
+  const auto sum = [](int threads) {
+    const ThreadLimit limit(threads);
+    return deterministic_sum<double>(100000, 1000, 0.0, [](std::size_t b, std::size_t e) {
+      double s = 0;
+      for (std::size_t i = b; i < e; ++i) s += 1.0 / static_cast<double>(i + 1);
+      return s;
+    });
+  };
+  EXPECT_EQ(sum(1), sum(8));
+}
+
+TEST(Parallel, SurfacesExceptions) {
+  EXPECT_THROW(parallel_blocks(100, 1, [](std::size_t b, std::size_t) { if (b == 57) throw Error("x"); }), Error);
+}
+
+}  // namespace
+}  // namespace chiaro
