@@ -122,6 +122,14 @@ void RasterWriter::write_rows(std::string_view plane, int y0, int rows, std::spa
   impl_->atomic.file().write_at(layout.offsets[i] + layout.row_bytes(i) * static_cast<std::uint64_t>(y0), bytes.data(), bytes.size());
 }
 
+void RasterWriter::read_back(std::string_view plane, int y0, int rows, std::span<std::byte> bytes) const {
+  const Layout& layout = impl_->layout;
+  const std::size_t i = layout.index(plane, impl_->atomic.part_path());
+  if (y0 < 0 || rows < 0 || y0 + rows > layout.height || bytes.size() != layout.row_bytes(i) * static_cast<std::uint64_t>(rows))
+    throw std::invalid_argument("RasterWriter::read_back: rows outside the image or wrong size");
+  impl_->atomic.file().read_at(layout.offsets[i] + layout.row_bytes(i) * static_cast<std::uint64_t>(y0), bytes.data(), bytes.size());
+}
+
 void RasterWriter::commit() {
   File& file = impl_->atomic.file();
   file.truncate(impl_->layout.end);

@@ -38,6 +38,14 @@ class RasterWriter {
   void write_rows(std::string_view plane, int y0, std::span<const T> values) {
     write_rows(plane, y0, static_cast<int>(values.size() / static_cast<std::size_t>(width())), std::as_bytes(values));
   }
+  /// Reads back rows that were written.
+  template <class T>
+  std::vector<T> read_back(std::string_view plane, int y0, int num_rows) const {
+    std::vector<T> values(static_cast<std::size_t>(num_rows) * static_cast<std::size_t>(width()));
+    read_back(plane, y0, num_rows, std::as_writable_bytes(std::span<T>(values)));
+    return values;
+  }
+  void read_back(std::string_view plane, int y0, int rows, std::span<std::byte> bytes) const;
   /// Computes checksums, syncs and renames.
   void commit();
 

@@ -1,0 +1,46 @@
+/// Many photographs into one albedo per surfel: streaming, one photograph at a time over the store's chunks, in object-space bands.
+///
+/// source: after Pintus, Gobbetti, Callieri, "Fast Low-Memory Seamless Photo Blending on Massive Point Clouds using a Streaming Framework", JOCCH 2011.
+#pragma once
+#include <filesystem>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "stream/base/budget.h"
+#include "stream/base/report.h"
+#include "stream/photo/camera.h"
+#include "stream/store/store.h"
+
+namespace chiaro::blend {
+
+struct BlendPhotograph {
+  std::string name;
+  stream::Camera camera;
+  std::filesystem::path gbuffer;   ///< raster of surfels/gbuffer.h
+  std::filesystem::path albedo;    ///< raster with planes r g b (albedo, linear, f32; NaN = no value) and sigma (f32, relative sd that is independent between photographs)
+  std::filesystem::path radiance;  ///< raster of stream/photo/develop.h: u8 plane `mask`, bit 1 usable, 2 saturated, 4 not finite
+};
+
+struct BlendOptions {
+  std::string layer = "albedo";
+  std::string provenance_json = "{}";
+  double low_band_px = 8;          ///< radius of the filter that splits the low from the high band, in pixels of the finest photograph there
+  double border_px = 24;           ///< weights rise from 0 at image borders, mask borders and silhouettes over this many pixels
+  double high_band_power = 4;      ///< weights of the high band are raised to this power: the best photograph wins
+  double shared_sigma = 0;         ///< relative sd that all photographs share (lights): added to the result, does not average out
+  void validate() const;
+};
+
+struct BlendStats {
+  std::uint64_t points = 0, points_seen = 0, samples = 0, chunks_visited = 0;
+  std::vector<std::uint64_t> samples_per_photograph;
+};
+
+/// Writes layer `options.layer` (albedo, sigma, photos) of the store and filters it to the inner nodes. Accumulators live on disk beside the store
+/// (scratch), one chunk and one band of image rows in memory at a time. The result does not depend on threads, budget or order of photographs.
+/// throws Error, Cancelled.
+BlendStats blend(const stream::Store& store, std::span<const BlendPhotograph> photographs, const BlendOptions& options,
+                 const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report);
+
+}  // namespace chiaro::blend

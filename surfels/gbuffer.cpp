@@ -1,0 +1,341 @@
+#include "surfels/gbuffer.h"
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cmath>
+#include <vector>
+
+#include "stream/base/error.h"
+#include "stream/base/parallel.h"
+#include "stream/photo/raster.h"
+#include "surfels/tracer.h"
+
+namespace chiaro::surfels {
+namespace {
+
+using stream::PlaneType;
+
+constexpr int kBandRows = 64;
+constexpr int kEdgeReach = 64;  ///< pixels beyond which the distance to an edge does not matter
+
+const std::vector<std::string>& float_planes(bool flash) {
+  static const std::vector<std::string> geometry{"depth", "nx", "ny", "nz", "radius", "footprint", "cosv", "coverage"};
+  static const std::vector<std::string> with_flash = [] {
+    auto all = geometry;
+    all.insert(all.end(), {"flash", "spread", "lit"});
+    return all;
+  }();
+  return flash ? with_flash : geometry;
+}
+
+struct Pixel {
+  float depth = 0, radius = 0, footprint = 0, cosv = 0, coverage = 0, flash = 0, spread = 0, lit = 0;
+  Vec3f normal = Vec3f::Zero();
+  SurfelId surfel;
+};
+
+/// What all pixels of a photograph share.
+struct Shot {
+  const stream::Camera& camera;
+  const Tracer& tracer;
+  Vec3f eye;                       ///< scene frame
+  std::optional<Vec3f> flash;      ///< scene frame
+  Eigen::Matrix3f world_from_camera;
+  float focal_px;
+  int subpixels;
+};
+
+struct RayCounts {
+  std::uint64_t primary = 0, shadow = 0;
+};
+
+/// Irradiance at a hit per unit of flash intensity: visibility * cos / r^2.
+float flash_irradiance(const Shot& shot, const Vec3f& p, const Hit& hit, RayCounts& counts, bool& lit) {
+  const Vec3f to_flash = *shot.flash - p;
+  const float r2 = to_flash.squaredNorm(), r = std::sqrt(r2);
+  const float cosine = hit.normal.dot(to_flash) / r;
+  if (!(cosine > 0)) return 0;
+  const Ray ray = escape_ray(p, hit.normal, hit.radius, to_flash / r, r);
+  ++counts.shadow;
+  if (shot.tracer.occluded(ray)) return 0;
+  lit = true;
+  return cosine / r2;
+}
+
+Pixel trace_pixel(const Shot& shot, int column, int row, int n, RayCounts& counts) {
+  Pixel pixel;
+  const Vec2d middle(column + 0.5, row + 0.5);
+  double depth = 0, flash = 0, flash2 = 0;
+  int hits = 0, lit = 0;
+  Vec3f normal = Vec3f::Zero();
+  float nearest = 1e30f;
+  for (int j = 0; j < n; ++j)
+    for (int i = 0; i < n; ++i) {
+      const Vec2d at(column + (i + 0.5) / n, row + (j + 0.5) / n);
+      const auto direction = stream::unproject(shot.camera.lens, at);
+      if (!direction) continue;
+      const Ray ray{shot.eye, (shot.world_from_camera * direction->cast<float>()).normalized(), 0, 1e30f};
+      Hit hit;
+      ++counts.primary;
+      if (!shot.tracer.closest(ray, hit)) continue;
+      ++hits;
+      depth += static_cast<double>(hit.t);
+      normal += hit.normal;
+      pixel.cosv -= hit.normal.dot(ray.direction);
+      const float off = static_cast<float>((at - middle).squaredNorm());
+      if (off < nearest) {
+        nearest = off;
+        pixel.surfel = hit.surfel;
+        pixel.radius = hit.radius;
+      }
+      if (shot.flash) {
+        bool sees = false;
+        const auto e = static_cast<double>(flash_irradiance(shot, ray.origin + ray.direction * hit.t, hit, counts, sees));
+        flash += e;
+        flash2 += e * e;
+        lit += sees;
+      }
+    }
+  if (hits == 0) return pixel;
+  pixel.depth = static_cast<float>(depth / hits);
+  pixel.normal = normal.normalized();
+  pixel.cosv /= static_cast<float>(hits);
+  pixel.coverage = static_cast<float>(hits) / static_cast<float>(n * n);
+  pixel.footprint = pixel.depth / shot.focal_px;
+  pixel.flash = static_cast<float>(flash / hits);
+  pixel.lit = static_cast<float>(lit) / static_cast<float>(hits);
+  const double mean = flash / hits, variance = std::max(0.0, flash2 / hits - mean * mean);
+  pixel.spread = mean > 0 ? static_cast<float>(std::sqrt(variance) / mean) : 0.0f;
+  return pixel;
+}
+
+void store_band(stream::RasterWriter& out, const std::vector<Pixel>& pixels, int y0, bool flash) {
+  const std::size_t n = pixels.size();
+  std::vector<float> values(n);
+  const auto put = [&](const char* plane, auto&& get) {
+    for (std::size_t i = 0; i < n; ++i) values[i] = get(pixels[i]);
+    out.write_rows<float>(plane, y0, values);
+  };
+  put("depth", [](const Pixel& p) { return p.depth; });
+  put("nx", [](const Pixel& p) { return p.normal.x(); });
+  put("ny", [](const Pixel& p) { return p.normal.y(); });
+  put("nz", [](const Pixel& p) { return p.normal.z(); });
+  put("radius", [](const Pixel& p) { return p.radius; });
+  put("footprint", [](const Pixel& p) { return p.footprint; });
+  put("cosv", [](const Pixel& p) { return p.cosv; });
+  put("coverage", [](const Pixel& p) { return p.coverage; });
+  if (flash) {
+    put("flash", [](const Pixel& p) { return p.flash; });
+    put("spread", [](const Pixel& p) { return p.spread; });
+    put("lit", [](const Pixel& p) { return p.lit; });
+  }
+  std::vector<std::uint32_t> chunk(n);
+  std::vector<std::uint16_t> slot(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    chunk[i] = pixels[i].surfel.chunk;
+    slot[i] = pixels[i].surfel.slot;
+  }
+  out.write_rows<std::uint32_t>("chunk", y0, chunk);
+  out.write_rows<std::uint16_t>("slot", y0, slot);
+}
+
+/// Traces rows [y0, y1) with what the cut for them needs; splits the rows when the budget does not hold the cut.
+class Caster {
+ public:
+  Caster(const stream::Store& store, const stream::Camera& camera, const GBufferOptions& options, stream::RasterWriter& out, MemoryBudget& budget, Reporter& report)
+      : store_(store), camera_(camera), options_(options), out_(out), budget_(budget), report_(report) {}
+
+  void run(int y0, int y1) {
+    View view{camera_.lens, camera_.pose, {0, y0, camera_.lens.width_px, y1}, {}};
+    if (options_.flash_in_camera) view.lights_in_world.push_back(camera_.pose.world_from_camera(*options_.flash_in_camera));
+    CutOptions cut = options_.cut;
+    cut.max_bytes = budget_.free_bytes() / 10 * 8;
+    const WorkingSet set = select_visible(store_, view, cut, budget_, report_);
+    if (!set.complete) {
+      if (y1 - y0 <= kBandRows)
+        throw Error(concat("memory budget: the surfels seen in rows ", y0, " to ", y1, " of ", camera_.photograph, " need ", format_bytes(set.bytes), ", ",
+                           format_bytes(budget_.free_bytes()), " left; raise --memory"));
+      const int middle = (y0 + y1) / 2 / kBandRows * kBandRows;
+      const int split = middle > y0 ? middle : y0 + kBandRows;
+      run(y0, split);
+      run(split, y1);
+      return;
+    }
+    ++stats.tiles;
+    stats.surfels += set.surfels;
+    stats.chunks += set.chunks.size();
+    stats.chunks_hidden += set.chunks_hidden;
+    Tracer tracer(camera_.pose.centre_in_world(), budget_);
+    for (const std::uint32_t c : set.chunks) {
+      tracer.add(store_.read_chunk(c));
+      report_.check();
+    }
+    tracer.commit();
+    trace(tracer, y0, y1);
+  }
+
+  GBufferStats stats;
+
+ private:
+  void trace(const Tracer& tracer, int y0, int y1) {
+    const Shot shot{camera_, tracer, tracer.scene_from_world(camera_.pose.centre_in_world()),
+                    options_.flash_in_camera ? std::optional<Vec3f>(tracer.scene_from_world(camera_.pose.world_from_camera(*options_.flash_in_camera))) : std::nullopt,
+                    camera_.pose.rotation_camera_from_world.transpose().cast<float>(), static_cast<float>(0.5 * (camera_.lens.fx + camera_.lens.fy)), options_.subpixels};
+    const int width = camera_.lens.width_px;
+    for (int band = y0; band < y1; band += kBandRows) {
+      const int rows = std::min(kBandRows, y1 - band);
+      std::vector<Pixel> pixels(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width));
+      std::vector<RayCounts> counts(static_cast<std::size_t>(rows));
+      parallel_blocks(static_cast<std::size_t>(rows), 1, [&](std::size_t r0, std::size_t r1) {
+        for (std::size_t r = r0; r < r1; ++r)
+          for (int x = 0; x < width; ++x)
+            pixels[r * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)] =
+                trace_pixel(shot, x, band + static_cast<int>(r), options_.subpixels, counts[r]);
+      });
+      for (const RayCounts& c : counts) {
+        stats.rays += c.primary;
+        stats.shadow_rays += c.shadow;
+      }
+      for (const Pixel& p : pixels) stats.pixels_hit += p.coverage > 0;
+      store_band(out_, pixels, band, shot.flash.has_value());
+      report_.progress(static_cast<std::uint64_t>(band + rows));
+      report_.check();
+    }
+  }
+
+  const stream::Store& store_;
+  const stream::Camera& camera_;
+  const GBufferOptions& options_;
+  stream::RasterWriter& out_;
+  MemoryBudget& budget_;
+  Reporter& report_;
+};
+
+/// One band of geometry with its neighbouring rows, for finding depth edges.
+struct DepthBand {
+  int y0, rows, width;
+  std::vector<float> depth, nx, ny, nz, footprint, coverage, radius;
+
+  DepthBand(const stream::RasterWriter& in, int first, int count) : y0(first), rows(count), width(in.width()) {
+    depth = in.read_back<float>("depth", y0, rows);
+    nx = in.read_back<float>("nx", y0, rows);
+    ny = in.read_back<float>("ny", y0, rows);
+    nz = in.read_back<float>("nz", y0, rows);
+    footprint = in.read_back<float>("footprint", y0, rows);
+    coverage = in.read_back<float>("coverage", y0, rows);
+    radius = in.read_back<float>("radius", y0, rows);
+  }
+  std::size_t at(int x, int row) const { return static_cast<std::size_t>(row) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x); }
+  Vec3f normal(std::size_t i) const { return {nx[i], ny[i], nz[i]}; }
+};
+
+/// Two neighbouring pixels lie on different surfaces when each point is off the other's tangent plane by more than their footprints and the
+/// sampling of the cloud explain. A crease is no depth edge.
+bool breaks(const DepthBand& band, const std::vector<Vec3f>& points, std::size_t a, std::size_t b) {
+  const Vec3f delta = points[b] - points[a];
+  const float off = std::min(std::fabs(band.normal(a).dot(delta)), std::fabs(band.normal(b).dot(delta)));
+  return off > 2.0f * std::max(band.footprint[a], band.footprint[b]) + 0.5f * std::max(band.radius[a], band.radius[b]);
+}
+
+/// 1 where the pixel is at a depth edge, a hole, or partly covered.
+std::vector<std::uint8_t> edge_pixels(const DepthBand& band, const stream::Lens& lens, const Mat3d& world_from_camera) {
+  std::vector<Vec3f> points(band.depth.size(), Vec3f::Zero());
+  parallel_blocks(static_cast<std::size_t>(band.rows), 8, [&](std::size_t r0, std::size_t r1) {
+    for (std::size_t r = r0; r < r1; ++r)
+      for (int x = 0; x < band.width; ++x)
+        if (const auto d = stream::unproject(lens, {x + 0.5, band.y0 + static_cast<int>(r) + 0.5}))
+          points[band.at(x, static_cast<int>(r))] = (world_from_camera * *d).cast<float>() * band.depth[band.at(x, static_cast<int>(r))];
+  });
+  std::vector<std::uint8_t> edge(band.depth.size(), 0);
+  for (int r = 0; r < band.rows; ++r)
+    for (int x = 0; x < band.width; ++x) {
+      const std::size_t a = band.at(x, r);
+      if (band.coverage[a] < 0.999f) edge[a] = 1;
+      for (const auto& [dx, dy] : {std::pair{1, 0}, std::pair{0, 1}}) {
+        if (x + dx >= band.width || r + dy >= band.rows) continue;
+        const std::size_t b = band.at(x + dx, r + dy);
+        if (band.depth[a] > 0 && band.depth[b] > 0 && breaks(band, points, a, b)) edge[a] = edge[b] = 1;
+      }
+    }
+  return edge;
+}
+
+/// Exact Euclidean distance to the nearest edge pixel or the image border, capped, from a band with kEdgeReach rows of halo.
+std::vector<float> edge_distance(const std::vector<std::uint8_t>& edge, int width, int band_y0, int band_rows, int y0, int rows, int height) {
+  // Distance along the column first, then the lower envelope along the row.
+  std::vector<float> result(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width));
+  std::vector<int> column(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width), kEdgeReach);
+  parallel_blocks(static_cast<std::size_t>(width), 64, [&](std::size_t x0, std::size_t x1) {
+    for (std::size_t x = x0; x < x1; ++x) {
+      const auto is_edge = [&](int y) { return edge[static_cast<std::size_t>(y - band_y0) * static_cast<std::size_t>(width) + x] != 0; };
+      int since = kEdgeReach;
+      for (int y = band_y0; y < y0 + rows; ++y) {
+        since = is_edge(y) ? 0 : std::min(since + 1, kEdgeReach);
+        if (y >= y0) column[static_cast<std::size_t>(y - y0) * static_cast<std::size_t>(width) + x] = since;
+      }
+      since = kEdgeReach;
+      for (int y = band_y0 + band_rows - 1; y >= y0; --y) {
+        since = is_edge(y) ? 0 : std::min(since + 1, kEdgeReach);
+        if (y < y0 + rows) {
+          int& c = column[static_cast<std::size_t>(y - y0) * static_cast<std::size_t>(width) + x];
+          c = std::min(c, since);
+        }
+      }
+    }
+  });
+  parallel_blocks(static_cast<std::size_t>(rows), 4, [&](std::size_t r0, std::size_t r1) {
+    for (std::size_t r = r0; r < r1; ++r) {
+      const int* c = column.data() + r * static_cast<std::size_t>(width);
+      const int y = y0 + static_cast<int>(r), border_y = std::min(y, height - 1 - y);
+      for (int x = 0; x < width; ++x) {
+        int best = kEdgeReach * kEdgeReach;
+        for (int dx = 0; dx < kEdgeReach && dx * dx < best; ++dx) {
+          if (x >= dx) best = std::min(best, dx * dx + c[x - dx] * c[x - dx]);
+          if (x + dx < width) best = std::min(best, dx * dx + c[x + dx] * c[x + dx]);
+        }
+        const float border = static_cast<float>(std::min({x, width - 1 - x, border_y}));
+        result[r * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)] = std::min(std::sqrt(static_cast<float>(best)), border);
+      }
+    }
+  });
+  return result;
+}
+
+void write_edge_distance(stream::RasterWriter& out, const stream::Camera& camera) {
+  const int height = out.height();
+  const Mat3d world_from_camera = camera.pose.rotation_camera_from_world.transpose();
+  for (int y0 = 0; y0 < height; y0 += 4 * kBandRows) {
+    const int rows = std::min(4 * kBandRows, height - y0);
+    const int first = std::max(0, y0 - kEdgeReach), last = std::min(height, y0 + rows + kEdgeReach);
+    const DepthBand band(out, first, last - first);
+    const auto edge = edge_pixels(band, camera.lens, world_from_camera);
+    const auto distance = edge_distance(edge, out.width(), first, last - first, y0, rows, height);
+    out.write_rows<float>("edge", y0, distance);
+  }
+}
+
+}  // namespace
+
+GBufferStats write_gbuffer(const stream::Store& store, const stream::Camera& camera, const GBufferOptions& options, const std::filesystem::path& out_path,
+                           MemoryBudget& budget, Reporter& report) {
+  if (options.subpixels < 1 || options.subpixels > 16) throw std::invalid_argument("GBufferOptions::subpixels must be 1 to 16");
+  std::vector<stream::PlaneInfo> planes;
+  for (const std::string& name : float_planes(options.flash_in_camera.has_value())) planes.push_back({name, PlaneType::kF32});
+  planes.push_back({"chunk", PlaneType::kU32});
+  planes.push_back({"slot", PlaneType::kU16});
+  planes.push_back({"edge", PlaneType::kF32});
+  const int width = camera.lens.width_px, height = camera.lens.height_px;
+  report.begin(concat("raycast ", camera.photograph), static_cast<std::uint64_t>(height), "rows");
+  stream::RasterWriter out(out_path, width, height, planes);
+  Caster caster(store, camera, options, out, budget, report);
+  caster.run(0, height);
+  write_edge_distance(out, camera);
+  out.commit();
+  GBufferStats stats = caster.stats;
+  report.end();
+  stats.pixels = static_cast<std::uint64_t>(width) * static_cast<std::uint64_t>(height);
+  return stats;
+}
+
+}  // namespace chiaro::surfels

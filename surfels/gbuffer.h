@@ -1,0 +1,46 @@
+/// What every pixel of a photograph sees: depth, normal, surfel, footprint, and the flash irradiance averaged over the pixel.
+///
+/// A pixel is a mean over its footprint, so each quantity that is compared with it is one too: 4x4 rays a pixel, each with its own shadow ray to the
+/// flash (measured: a single centre ray leaves the flash 5 % wrong).
+#pragma once
+#include <filesystem>
+#include <optional>
+
+#include "stream/base/budget.h"
+#include "stream/base/report.h"
+#include "stream/photo/camera.h"
+#include "stream/store/store.h"
+#include "surfels/working_set.h"
+
+namespace chiaro::surfels {
+
+struct GBufferOptions {
+  int subpixels = 4;                        ///< rays a pixel: subpixels^2
+  std::optional<Vec3d> flash_in_camera;     ///< project units; absent: no flash planes
+  CutOptions cut;
+};
+
+struct GBufferStats {
+  std::uint64_t pixels = 0, pixels_hit = 0, rays = 0, shadow_rays = 0;
+  std::uint64_t surfels = 0, chunks = 0, chunks_hidden = 0;
+  int tiles = 0;                            ///< parts the image was split into by the budget
+};
+
+/// Writes a raster with the planes
+///   depth f32      distance along the ray from the camera centre, mean of the rays that hit, project units; 0 = nothing
+///   nx ny nz f32   world frame, unit, facing the camera
+///   chunk u32, slot u16   surfel at the pixel's middle (chunk 0xffffffff = none)
+///   radius f32     of that surfel, project units
+///   footprint f32  side of the pixel on the surface, across the view: depth / focal length, project units
+///   cosv f32       cosine between normal and view
+///   coverage f32   share of the rays that hit, 0..1
+///   edge f32       distance to the nearest depth edge, hole or image border, pixels (0 at the edge, at most 64)
+/// and with a flash
+///   flash f32      mean over the rays of visibility * cos / r^2, 1/unit^2; rays that miss do not count
+///   spread f32     standard deviation of that over its mean
+///   lit f32        share of the rays that see the flash
+/// throws Error, Cancelled. Same bytes for any thread count and any number of tiles.
+GBufferStats write_gbuffer(const stream::Store& store, const stream::Camera& camera, const GBufferOptions& options,
+                           const std::filesystem::path& out, MemoryBudget& budget, Reporter& report);
+
+}  // namespace chiaro::surfels

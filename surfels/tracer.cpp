@@ -1,0 +1,427 @@
+#include "surfels/tracer.h"
+
+#if __has_include(<embree4/rtcore.h>)
+#include <embree4/rtcore.h>
+#define CHIARO_EMBREE4 1
+#else
+#include <embree3/rtcore.h>
+#define CHIARO_EMBREE4 0
+#endif
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <mutex>
+#include <string>
+
+#include "stream/base/error.h"
+
+// One code path a machine may choose from at run time. The bits are the same: plain IEEE operations, no contraction, no reductions.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+#define CHIARO_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define CHIARO_CLONES
+#endif
+
+namespace chiaro::surfels {
+namespace {
+
+using stream::Chunk;
+using stream::SurfelBlock;
+
+/// Discs that a ray meets at most this far behind the first one, in radii of the first one measured along its normal, are blended with it.
+constexpr float kSlabRadii = 0.6f;
+/// Lowest cosine that stretches the slab along the ray.
+constexpr float kSlabMinCosine = 0.25f;
+/// Shadow rays use a slightly smaller disc: radii are stored with a margin of a tenth, so coverage stays whole and edges overhang less.
+constexpr float kShadowRho2 = 0.83f;
+constexpr int kMaxCandidates = 64;
+
+const std::array<float, 256>& radius2_table() {
+  static const std::array<float, 256> table = [] {
+    std::array<float, 256> t{};
+    for (int i = 0; i < 256; ++i) {
+      const float r = stream::decode_radius(static_cast<std::uint8_t>(i), 1.0f);
+      t[static_cast<std::size_t>(i)] = r * r;
+    }
+    return t;
+  }();
+  return table;
+}
+
+struct ChunkGeometry {
+  Chunk chunk;
+  Vec3f origin_in_scene;
+  float step = 0, radius2_max = 0;
+  unsigned geometry_id = 0;
+  BudgetLease lease;
+};
+
+/// Normals of 16 lanes, not normalised (plane intersection does not need it).
+struct LaneGeometry {
+  alignas(64) float nx[16], ny[16], nz[16];
+};
+
+/// t and squared distance from the centre over squared radius, for the 16 discs of a block. Padding lanes get rho2 = inf.
+struct LaneHits {
+  alignas(64) float t[16], rho2[16];
+};
+
+CHIARO_CLONES void intersect_lanes(const SurfelBlock& block, const float* radius2, float step, float radius2_max, const float* origin, const float* direction,
+                                   LaneHits& hits) {
+  const float ox = origin[0], oy = origin[1], oz = origin[2], dx = direction[0], dy = direction[1], dz = direction[2];
+  alignas(64) float r2[16];
+  for (int i = 0; i < 16; ++i) r2[i] = (block.flags[i] & SurfelBlock::kPadding) ? 0.0f : radius2[block.log_radius[i]] * radius2_max;
+  for (int i = 0; i < 16; ++i) {
+    const float u = static_cast<float>(block.normal_u[i]) * (1.0f / 32767.0f), v = static_cast<float>(block.normal_v[i]) * (1.0f / 32767.0f);
+    const float nz = 1.0f - std::fabs(u) - std::fabs(v);
+    const float fold = nz < 0.0f ? -nz : 0.0f;
+    const float nx = u + (u >= 0.0f ? -fold : fold), ny = v + (v >= 0.0f ? -fold : fold);
+    const float cx = (static_cast<float>(block.x[i]) + 0.5f) * step - ox;
+    const float cy = (static_cast<float>(block.y[i]) + 0.5f) * step - oy;
+    const float cz = (static_cast<float>(block.z[i]) + 0.5f) * step - oz;
+    const float t = (nx * cx + ny * cy + nz * cz) / (nx * dx + ny * dy + nz * dz);
+    const float ex = t * dx - cx, ey = t * dy - cy, ez = t * dz - cz;
+    hits.t[i] = t;
+    hits.rho2[i] = (ex * ex + ey * ey + ez * ez) / r2[i];
+  }
+}
+
+struct Candidate {
+  float t, rho2;
+  const ChunkGeometry* geometry;
+  std::uint32_t slot;
+  std::uint64_t id() const { return (std::uint64_t{geometry->chunk.index} << 16) | slot; }
+  bool before(const Candidate& o) const { return t < o.t || (t == o.t && id() < o.id()); }
+};
+
+#if CHIARO_EMBREE4
+using QueryBase = RTCRayQueryContext;
+void init_context(QueryBase* c) { rtcInitRayQueryContext(c); }
+#else
+using QueryBase = RTCIntersectContext;
+void init_context(QueryBase* c) { rtcInitIntersectContext(c); }
+#endif
+
+/// State of one ray while Embree walks the tree.
+struct ClosestQuery {
+  QueryBase context;  // first member: Embree hands back its address
+  Vec3f origin, direction;
+  float slack = 0;    ///< how far behind the first disc candidates may still matter, for every disc of the scene
+  float first_t = 1e30f;
+  int count = 0;
+  std::array<Candidate, kMaxCandidates> list;
+
+  void offer(const Candidate& c) {
+    if (c.t > first_t + slack) return;
+    if (c.t < first_t) {
+      first_t = c.t;
+      int kept = 0;
+      for (int i = 0; i < count; ++i)
+        if (list[static_cast<std::size_t>(i)].t <= first_t + slack) list[static_cast<std::size_t>(kept++)] = list[static_cast<std::size_t>(i)];
+      count = kept;
+    }
+    if (count < kMaxCandidates) {
+      list[static_cast<std::size_t>(count++)] = c;
+      return;
+    }
+    // Full: the farthest goes, so that the set kept does not depend on the order of arrival.
+    auto last = std::max_element(list.begin(), list.end(), [](const Candidate& a, const Candidate& b) { return a.before(b); });
+    if (c.before(*last)) *last = c;
+  }
+};
+
+struct ShadowQuery {
+  QueryBase context;
+  Vec3f origin, direction;
+};
+
+void lanes_of(const ChunkGeometry& g, unsigned block, const Vec3f& origin, const Vec3f& direction, LaneHits& hits) {
+  const Vec3f local = origin - g.origin_in_scene;
+  intersect_lanes(g.chunk.blocks[block], radius2_table().data(), g.step, g.radius2_max, local.data(), direction.data(), hits);
+}
+
+void on_bounds(const RTCBoundsFunctionArguments* args) {
+  const auto& g = *static_cast<const ChunkGeometry*>(args->geometryUserPtr);
+  const SurfelBlock& b = g.chunk.blocks[args->primID];
+  Vec3f lower = Vec3f::Constant(1e30f), upper = Vec3f::Constant(-1e30f);
+  for (int i = 0; i < 16; ++i) {
+    const auto k = static_cast<std::size_t>(i);
+    if (b.flags[k] & SurfelBlock::kPadding) continue;
+    const Vec3f c = g.origin_in_scene + Vec3f((static_cast<float>(b.x[k]) + 0.5f) * g.step, (static_cast<float>(b.y[k]) + 0.5f) * g.step,
+                                              (static_cast<float>(b.z[k]) + 0.5f) * g.step);
+    const Vec3f n = stream::decode_normal(b.normal_u[k], b.normal_v[k]);
+    const float r = stream::decode_radius(b.log_radius[k], g.chunk.frame.radius_max);
+    // A disc of radius r with normal n reaches r * sqrt(1 - n_a^2) along axis a; a little more against rounding.
+    const Vec3f reach = (Vec3f::Ones() - n.cwiseProduct(n)).cwiseMax(0.0f).cwiseSqrt() * r + Vec3f::Constant(r * 1e-3f + 1e-6f);
+    lower = lower.cwiseMin(c - reach);
+    upper = upper.cwiseMax(c + reach);
+  }
+  args->bounds_o->lower_x = lower.x();
+  args->bounds_o->lower_y = lower.y();
+  args->bounds_o->lower_z = lower.z();
+  args->bounds_o->upper_x = upper.x();
+  args->bounds_o->upper_y = upper.y();
+  args->bounds_o->upper_z = upper.z();
+}
+
+void on_intersect(const RTCIntersectFunctionNArguments* args) {
+  if (!args->valid[0]) return;
+  auto& query = *reinterpret_cast<ClosestQuery*>(args->context);
+  const auto& g = *static_cast<const ChunkGeometry*>(args->geometryUserPtr);
+  RTCRayN* ray = RTCRayHitN_RayN(args->rayhit, args->N);
+  const float t_min = RTCRayN_tnear(ray, args->N, 0);
+  LaneHits hits;
+  lanes_of(g, args->primID, query.origin, query.direction, hits);
+  float t_max = RTCRayN_tfar(ray, args->N, 0);
+  bool any = false;
+  for (int i = 0; i < 16; ++i)
+    if (hits.rho2[i] < 1.0f && hits.t[i] > t_min && hits.t[i] <= t_max) {
+      query.offer({hits.t[i], hits.rho2[i], &g, args->primID * 16 + static_cast<unsigned>(i)});
+      any = true;
+    }
+  if (!any) return;
+  RTCRayN_tfar(ray, args->N, 0) = std::min(t_max, query.first_t + query.slack);
+  RTCHitN* hit = RTCRayHitN_HitN(args->rayhit, args->N);
+  RTCHitN_geomID(hit, args->N, 0) = args->geomID;
+}
+
+void on_occluded(const RTCOccludedFunctionNArguments* args) {
+  if (!args->valid[0]) return;
+  const auto& query = *reinterpret_cast<const ShadowQuery*>(args->context);
+  const auto& g = *static_cast<const ChunkGeometry*>(args->geometryUserPtr);
+  LaneHits hits;
+  lanes_of(g, args->primID, query.origin, query.direction, hits);
+  const float t_min = RTCRayN_tnear(args->ray, args->N, 0), t_max = RTCRayN_tfar(args->ray, args->N, 0);
+  bool any = false;
+  for (int i = 0; i < 16; ++i) any |= (hits.rho2[i] < kShadowRho2) & (hits.t[i] > t_min) & (hits.t[i] < t_max);
+  if (any) RTCRayN_tfar(args->ray, args->N, 0) = -std::numeric_limits<float>::infinity();
+}
+
+struct RtcRelease {
+  void operator()(RTCDevice d) const { rtcReleaseDevice(d); }
+  void operator()(RTCScene s) const { rtcReleaseScene(s); }
+};
+using DevicePtr = std::unique_ptr<RTCDeviceTy, RtcRelease>;
+using ScenePtr = std::unique_ptr<RTCSceneTy, RtcRelease>;
+
+}  // namespace
+
+struct Tracer::Impl {
+  Impl(const Vec3d& origin, MemoryBudget& b) : origin_in_world(origin), budget(b) {}
+  ~Impl() {
+    scene.reset();
+    chunks.clear();
+    device.reset();
+    budget.give(embree_bytes);
+  }
+
+  Vec3d origin_in_world;
+  MemoryBudget& budget;
+  std::atomic<std::uint64_t> embree_bytes{0};
+  std::atomic<bool> refused{false};
+  std::mutex error_mutex;
+  std::string error;
+  DevicePtr device;
+  ScenePtr scene;
+  std::map<std::uint32_t, std::unique_ptr<ChunkGeometry>> chunks;
+  std::uint64_t surfels = 0;
+  float slack = 0;
+
+  static bool on_memory(void* self, ssize_t bytes, bool post) {
+    auto& impl = *static_cast<Impl*>(self);
+    if (bytes > 0) {
+      if (!impl.budget.try_take(static_cast<std::uint64_t>(bytes))) {
+        // `post` means that the memory is already taken: it must be counted, and is then refused at the next call.
+        impl.refused = true;
+        return false;
+      }
+      impl.embree_bytes += static_cast<std::uint64_t>(bytes);
+    } else {
+      const auto freed = std::min<std::uint64_t>(static_cast<std::uint64_t>(-bytes), impl.embree_bytes);
+      impl.embree_bytes -= freed;
+      impl.budget.give(freed);
+    }
+    (void)post;
+    return true;
+  }
+  static void on_error(void* self, RTCError, const char* text) {
+    auto& impl = *static_cast<Impl*>(self);
+    const std::lock_guard lock(impl.error_mutex);
+    if (impl.error.empty()) impl.error = text ? text : "unknown";
+  }
+  void check(const char* what) {
+    const std::lock_guard lock(error_mutex);
+    if (error.empty() && !refused) return;
+    const std::string text = refused ? concat("the memory budget does not allow it (", format_bytes(budget.free_bytes()), " left)") : error;
+    error.clear();
+    refused = false;
+    throw Error(concat("ray tracing: ", what, ": ", text));
+  }
+};
+
+Tracer::Tracer(const Vec3d& origin_in_world, MemoryBudget& budget) : impl_(std::make_unique<Impl>(origin_in_world, budget)) {
+  impl_->device.reset(rtcNewDevice("start_threads=0,set_affinity=0"));
+  if (!impl_->device) throw Error("ray tracing: Embree does not start");
+  rtcSetDeviceErrorFunction(impl_->device.get(), &Impl::on_error, impl_.get());
+  rtcSetDeviceMemoryMonitorFunction(impl_->device.get(), &Impl::on_memory, impl_.get());
+  impl_->scene.reset(rtcNewScene(impl_->device.get()));
+  rtcSetSceneBuildQuality(impl_->scene.get(), RTC_BUILD_QUALITY_MEDIUM);
+}
+
+Tracer::Tracer(Tracer&&) noexcept = default;
+Tracer::~Tracer() = default;
+const Vec3d& Tracer::origin_in_world() const { return impl_->origin_in_world; }
+std::size_t Tracer::num_chunks() const { return impl_->chunks.size(); }
+std::uint64_t Tracer::num_surfels() const { return impl_->surfels; }
+bool Tracer::contains(std::uint32_t chunk) const { return impl_->chunks.contains(chunk); }
+
+std::uint64_t Tracer::bytes() const {
+  std::uint64_t sum = impl_->embree_bytes;
+  for (const auto& [index, g] : impl_->chunks) sum += g->lease.bytes();
+  return sum;
+}
+
+const Chunk* Tracer::chunk(std::uint32_t index) const {
+  const auto it = impl_->chunks.find(index);
+  return it == impl_->chunks.end() ? nullptr : &it->second->chunk;
+}
+
+void Tracer::add(Chunk chunk) {
+  if (contains(chunk.index) || chunk.blocks.empty()) return;
+  auto g = std::make_unique<ChunkGeometry>();
+  g->lease = BudgetLease(impl_->budget, chunk.bytes(), "surfels for rays");
+  g->chunk = std::move(chunk);
+  g->origin_in_scene = scene_from_world(g->chunk.frame.origin_in_world);
+  g->step = static_cast<float>(g->chunk.frame.step);
+  g->radius2_max = g->chunk.frame.radius_max * g->chunk.frame.radius_max;
+  const RTCGeometry geometry = rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_USER);
+  rtcSetGeometryUserPrimitiveCount(geometry, static_cast<unsigned>(g->chunk.blocks.size()));
+  rtcSetGeometryUserData(geometry, g.get());
+  rtcSetGeometryBoundsFunction(geometry, [](const RTCBoundsFunctionArguments* a) { on_bounds(a); }, nullptr);
+  rtcSetGeometryIntersectFunction(geometry, &on_intersect);
+  rtcSetGeometryOccludedFunction(geometry, &on_occluded);
+  rtcCommitGeometry(geometry);
+  g->geometry_id = rtcAttachGeometry(impl_->scene.get(), geometry);
+  rtcReleaseGeometry(geometry);
+  impl_->check("adding a chunk");
+  impl_->surfels += g->chunk.count;
+  impl_->slack = std::max(impl_->slack, g->chunk.frame.radius_max * kSlabRadii / kSlabMinCosine);
+  impl_->chunks.emplace(g->chunk.index, std::move(g));
+}
+
+void Tracer::remove(std::uint32_t chunk) {
+  const auto it = impl_->chunks.find(chunk);
+  if (it == impl_->chunks.end()) return;
+  rtcDetachGeometry(impl_->scene.get(), it->second->geometry_id);
+  impl_->surfels -= it->second->chunk.count;
+  impl_->chunks.erase(it);
+}
+
+void Tracer::commit() {
+  rtcCommitScene(impl_->scene.get());
+  impl_->check("building the acceleration structure");
+}
+
+namespace {
+
+RTCRay embree_ray(const Ray& ray) {
+  RTCRay r{};
+  r.org_x = ray.origin.x();
+  r.org_y = ray.origin.y();
+  r.org_z = ray.origin.z();
+  r.dir_x = ray.direction.x();
+  r.dir_y = ray.direction.y();
+  r.dir_z = ray.direction.z();
+  r.tnear = ray.t_min;
+  r.tfar = ray.t_max;
+  r.mask = 0xffffffffu;
+  return r;
+}
+
+/// Blends what lies in the slab behind the first disc. Candidates are sorted, so sums do not depend on the order of traversal.
+void blend(ClosestQuery& q, Hit& hit) {
+  std::sort(q.list.begin(), q.list.begin() + q.count, [](const Candidate& a, const Candidate& b) { return a.before(b); });
+  const auto normal_of = [](const Candidate& c) {
+    const SurfelBlock& b = c.geometry->chunk.blocks[c.slot / 16];
+    return stream::decode_normal(b.normal_u[c.slot % 16], b.normal_v[c.slot % 16]);
+  };
+  const auto radius_of = [](const Candidate& c) {
+    return stream::decode_radius(c.geometry->chunk.blocks[c.slot / 16].log_radius[c.slot % 16], c.geometry->chunk.frame.radius_max);
+  };
+  const Candidate& first = q.list[0];
+  Vec3f n_first = normal_of(first);
+  if (n_first.dot(q.direction) > 0) n_first = -n_first;
+  const float slab = kSlabRadii * radius_of(first) / std::max(kSlabMinCosine, -n_first.dot(q.direction));
+  float weight = 0, t = 0, back = 0, best = 2;
+  Vec3f normal = Vec3f::Zero();
+  for (int i = 0; i < q.count; ++i) {
+    const Candidate& c = q.list[static_cast<std::size_t>(i)];
+    if (c.t > first.t + slab) break;
+    Vec3f n = normal_of(c);
+    const bool from_behind = n.dot(q.direction) > 0;
+    if (from_behind) n = -n;
+    if (n.dot(n_first) < 0.5f) continue;  // another face of an edge
+    const float k = 1.0f - c.rho2, w = k * k + 1e-4f;
+    weight += w;
+    t += w * (c.t - first.t);
+    normal += w * n;
+    if (from_behind && (c.geometry->chunk.blocks[c.slot / 16].flags[c.slot % 16] & SurfelBlock::kOriented)) back += w;
+    if (c.rho2 < best) {
+      best = c.rho2;
+      hit.surfel = {c.geometry->chunk.index, static_cast<std::uint16_t>(c.slot)};
+      hit.radius = radius_of(c);
+    }
+  }
+  hit.t = first.t + t / weight;
+  hit.normal = normal.normalized();
+  hit.back = back / weight;
+}
+
+}  // namespace
+
+bool Tracer::closest(const Ray& ray, Hit& hit) const {
+  ClosestQuery query;
+  init_context(&query.context);
+  query.origin = ray.origin;
+  query.direction = ray.direction;
+  query.slack = impl_->slack;
+  RTCRayHit rh{};
+  rh.ray = embree_ray(ray);
+  rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+#if CHIARO_EMBREE4
+  RTCIntersectArguments args;
+  rtcInitIntersectArguments(&args);
+  args.context = &query.context;
+  rtcIntersect1(impl_->scene.get(), &rh, &args);
+#else
+  rtcIntersect1(impl_->scene.get(), &query.context, &rh);
+#endif
+  if (query.count == 0) return false;
+  blend(query, hit);
+  return true;
+}
+
+bool Tracer::occluded(const Ray& ray) const {
+  ShadowQuery query;
+  init_context(&query.context);
+  query.origin = ray.origin;
+  query.direction = ray.direction;
+  RTCRay r = embree_ray(ray);
+#if CHIARO_EMBREE4
+  RTCOccludedArguments args;
+  rtcInitOccludedArguments(&args);
+  args.context = &query.context;
+  rtcOccluded1(impl_->scene.get(), &r, &args);
+#else
+  rtcOccluded1(impl_->scene.get(), &query.context, &r);
+#endif
+  return r.tfar < 0;
+}
+
+Ray escape_ray(const Vec3f& position, const Vec3f& normal, float radius, const Vec3f& direction, float t_max, const EscapeOptions& options) {
+  return {position + normal * (options.lift * radius), direction, options.skip * radius, t_max};
+}
+
+}  // namespace chiaro::surfels

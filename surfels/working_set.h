@@ -1,0 +1,46 @@
+/// Which chunks a photograph needs: an octree cut at about a pixel inside its frustum, coarser outside it (where surfels only reflect and occlude),
+/// and nothing that is hidden.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "stream/base/budget.h"
+#include "stream/base/report.h"
+#include "stream/photo/camera.h"
+#include "stream/store/store.h"
+
+namespace chiaro::surfels {
+
+/// A view whose pixels decide the level of detail.
+struct View {
+  stream::Lens lens;
+  stream::Pose pose;
+  PixelRect rect;                     ///< the part of the image that is looked at
+  std::vector<Vec3d> lights_in_world; ///< points (the flash) from which the visible surface is seen too: their occluders are kept
+};
+
+struct CutOptions {
+  double pixel_error = 1.0;        ///< surfel spacing allowed inside the frustum, in pixels
+  double margin_px = 16;           ///< the frustum is grown by this
+  bool cull_hidden = true;         ///< test chunks front to back against a coarse depth pyramid
+  std::uint64_t max_bytes = 0;     ///< of geometry; 0 = no limit
+};
+
+struct WorkingSet {
+  std::vector<std::uint32_t> chunks;  ///< store indices, ascending
+  std::uint64_t surfels = 0;
+  std::uint64_t bytes = 0;            ///< geometry plus acceleration structure, estimated
+  std::uint64_t chunks_hidden = 0;    ///< left out because something nearer covers them
+  std::uint64_t chunks_outside = 0;   ///< outside the frustum
+  bool complete = true;               ///< false: max_bytes was reached, split the rectangle
+};
+
+/// The cut for rays that start in the view's pixels and for shadow rays to its lights.
+WorkingSet select_visible(const stream::Store& store, const View& view, const CutOptions& options, MemoryBudget& budget, Reporter& report);
+
+/// A cut of the whole scene of at most max_surfels surfels for light transport: finest where the photographs see most detail
+/// (the level is chosen by solid angle seen from the nearest camera, equalised over the cut).
+WorkingSet select_proxy(const stream::Store& store, std::span<const View> views, std::uint64_t max_surfels);
+
+}  // namespace chiaro::surfels
