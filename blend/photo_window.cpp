@@ -1,0 +1,220 @@
+#include "blend/photo_window.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "blend/view_weights.h"
+#include "stream/base/error.h"
+#include "stream/base/parallel.h"
+
+namespace chiaro::blend {
+namespace {
+
+constexpr std::uint8_t kMaskUsable = 1, kMaskSaturated = 2, kMaskNotFinite = 4;
+
+void check_raster(const stream::RasterReader& raster, const std::filesystem::path& path, const stream::Lens& lens, std::initializer_list<const char*> planes) {
+  if (raster.width() != lens.width_px || raster.height() != lens.height_px)
+    throw Error(concat(path.string(), ": is ", raster.width(), " x ", raster.height(), ", expected the camera's ", lens.width_px, " x ", lens.height_px));
+  for (const char* plane : planes)
+    if (!raster.has(plane)) throw Error(concat(path.string(), ": has no plane \"", plane, "\""));
+}
+
+/// Rows of the planes that the weights need, while a window is prepared.
+struct Preparation {
+  int width = 0, y0 = 0, rows = 0;
+  std::vector<WindowPixel> pixels;
+  std::vector<FilterPixel> filter;
+  std::vector<FilterStep> steps;
+  std::vector<float> cosv, edge;
+  std::vector<std::uint8_t> masked, saturated;
+  std::size_t size() const { return static_cast<std::size_t>(width) * static_cast<std::size_t>(rows); }
+};
+
+template <class Set>
+void for_plane(const stream::RasterReader& raster, const char* plane, Preparation& p, const Set& set) {
+  const auto values = raster.rows<float>(plane, p.y0, p.rows);
+  parallel_blocks(values.size(), 1 << 16, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) set(i, values[i]);
+  });
+}
+
+void read_geometry(const PhotographRasters& rasters, Preparation& p) {
+  const stream::RasterReader& g = rasters.gbuffer();
+  for_plane(g, "depth", p, [&](std::size_t i, float v) { p.pixels[i].depth = std::isfinite(v) && v > 0 ? v : 0; });
+  for_plane(g, "nx", p, [&](std::size_t i, float v) { p.pixels[i].normal.x() = v; });
+  for_plane(g, "ny", p, [&](std::size_t i, float v) { p.pixels[i].normal.y() = v; });
+  for_plane(g, "nz", p, [&](std::size_t i, float v) { p.pixels[i].normal.z() = v; });
+  for_plane(g, "radius", p, [&](std::size_t i, float v) { p.pixels[i].radius = v; });
+  for_plane(g, "footprint", p, [&](std::size_t i, float v) { p.pixels[i].footprint = v; });
+  p.cosv = g.rows<float>("cosv", p.y0, p.rows);
+  p.edge = g.rows<float>("edge", p.y0, p.rows);
+}
+
+void read_mask(const PhotographRasters& rasters, Preparation& p) {
+  const auto mask = rasters.radiance().rows<std::uint8_t>("mask", p.y0, p.rows);
+  p.masked.resize(mask.size());
+  p.saturated.resize(mask.size());
+  for (std::size_t i = 0; i < mask.size(); ++i) {
+    p.saturated[i] = (mask[i] & kMaskSaturated) != 0;
+    p.masked[i] = !p.saturated[i] && ((mask[i] & kMaskUsable) == 0 || (mask[i] & kMaskNotFinite) != 0);
+  }
+}
+
+/// Albedo and quality where the pixel may be used; everything 0 elsewhere.
+void read_values(const PhotographRasters& rasters, Preparation& p, const WindowOptions& options) {
+  const stream::RasterReader& a = rasters.albedo();
+  constexpr std::array<const char*, 3> kColour{"r", "g", "b"};
+  for (int c = 0; c < 3; ++c) for_plane(a, kColour[static_cast<std::size_t>(c)], p, [&](std::size_t i, float v) { p.filter[i].value[c] = v; });
+  for_plane(a, "sigma", p, [&](std::size_t i, float v) { p.pixels[i].sigma = v; });
+  const auto coverage = rasters.gbuffer().rows<float>("coverage", p.y0, p.rows);
+  std::vector<float> spread(rasters.gbuffer().has("spread") ? 0 : p.size(), 0.0f);
+  if (spread.empty()) spread = rasters.gbuffer().rows<float>("spread", p.y0, p.rows);
+  parallel_blocks(p.size(), 1 << 15, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      WindowPixel& pixel = p.pixels[i];
+      FilterPixel& f = p.filter[i];
+      const float quality =
+          pixel_quality({.cosv = p.cosv[i], .footprint = pixel.footprint, .sigma = pixel.sigma, .spread = spread[i], .coverage = coverage[i]}, options.reference_footprint);
+      const bool usable = pixel.depth > 0 && !p.masked[i] && !p.saturated[i] && std::isfinite(f.value[0]) && std::isfinite(f.value[1]) &&
+                          std::isfinite(f.value[2]) && pixel.normal.allFinite() && std::isfinite(pixel.radius) && quality > 0;
+      if (!usable) {
+        f = FilterPixel{};
+        continue;
+      }
+      if (!std::isfinite(pixel.sigma)) pixel.sigma = 1;
+      pixel.low = {f.value[0], f.value[1], f.value[2]};   // the albedo itself until the bands are split
+      f.value[3] = quality;
+      f.value[4] = 1;
+    }
+  });
+}
+
+void set_steps(Preparation& p, const Mat3d& rotation_camera_from_world, const WindowOptions& options) {
+  const Eigen::Matrix3f rotation = rotation_camera_from_world.cast<float>();
+  const auto stride = static_cast<std::size_t>(p.width);
+  const auto sample = [&](std::size_t i) { return DepthSample{p.pixels[i].depth, p.pixels[i].footprint, p.cosv[i], p.pixels[i].radius}; };
+  parallel_blocks(static_cast<std::size_t>(p.rows), 16, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t y = begin; y < end; ++y)
+      for (std::size_t x = 0; x < stride; ++x) {
+        const std::size_t i = y * stride + x;
+        FilterStep& s = p.steps[i];
+        if (!(p.pixels[i].depth > 0)) continue;
+        const Vec2f half = box_half_widths(options.low_radius, p.pixels[i].footprint, Vec3f(rotation * p.pixels[i].normal));
+        s.half_x = half.x();
+        s.half_y = half.y();
+        s.stop_right = x + 1 >= stride || depth_breaks(sample(i), sample(i + 1));
+        s.stop_below = y + 1 >= static_cast<std::size_t>(p.rows) || depth_breaks(sample(i), sample(i + stride));
+      }
+  });
+}
+
+void split_bands(Preparation& p, const WindowOptions& options) {
+  const auto to_mask = distance_to_marked(p.masked, p.width, p.rows, options.border_px);
+  const auto to_saturated = distance_to_marked(p.saturated, p.width, p.rows, saturation_ramp_px(options.border_px));
+  parallel_blocks(p.size(), 1 << 15, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const FilterPixel& f = p.filter[i];
+      WindowPixel& pixel = p.pixels[i];
+      const float weight = f.value[4];
+      const bool usable = pixel.weight > 0 && weight > 0;
+      pixel.weight = 0;
+      if (!usable) continue;
+      const Vec3f albedo = pixel.low;
+      pixel.low = Vec3f(f.value[0], f.value[1], f.value[2]) / weight;
+      pixel.high = albedo - pixel.low;
+      pixel.weight = f.value[3] / weight * pixel_ramp({.edge_px = p.edge[i], .mask_px = to_mask[i], .saturated_px = to_saturated[i]}, options.border_px);
+    }
+  });
+}
+
+}  // namespace
+
+PhotographRasters::PhotographRasters(const stream::Lens& lens, const std::filesystem::path& gbuffer, const std::filesystem::path& albedo,
+                                     const std::filesystem::path& radiance)
+    : gbuffer_(gbuffer), albedo_(albedo), radiance_(radiance) {
+  check_raster(gbuffer_, gbuffer, lens, {"depth", "nx", "ny", "nz", "radius", "footprint", "cosv", "coverage", "edge"});
+  check_raster(albedo_, albedo, lens, {"r", "g", "b", "sigma"});
+  check_raster(radiance_, radiance, lens, {"mask"});
+}
+
+void FootprintHistogram::add(float footprint) {
+  if (!(footprint > 0) || !std::isfinite(footprint)) return;
+  const int step = std::clamp(static_cast<int>(std::floor((std::log2(footprint) - kLowest) * kSteps)), 0, static_cast<int>(counts_.size()) - 1);
+  ++counts_[static_cast<std::size_t>(step)];
+}
+
+void FootprintHistogram::merge(const FootprintHistogram& other) {
+  for (std::size_t i = 0; i < counts_.size(); ++i) counts_[i] += other.counts_[i];
+}
+
+float FootprintHistogram::median() const {
+  std::uint64_t total = 0, below = 0;
+  for (const std::uint64_t n : counts_) total += n;
+  for (std::size_t i = 0; i < counts_.size(); ++i)
+    if ((below += counts_[i]) * 2 > total) return static_cast<float>(std::exp2((static_cast<double>(i) + 0.5) / kSteps + kLowest));
+  return 0;
+}
+
+float FootprintHistogram::smallest() const {
+  for (std::size_t i = 0; i < counts_.size(); ++i)
+    if (counts_[i] > 0) return static_cast<float>(std::exp2(static_cast<double>(i) / kSteps + kLowest));
+  return 0;
+}
+
+FootprintHistogram footprints(const PhotographRasters& rasters) {
+  constexpr int kRows = 64;
+  const std::size_t num_blocks = static_cast<std::size_t>((rasters.height() + kRows - 1) / kRows);
+  std::vector<FootprintHistogram> partial(num_blocks);
+  parallel_blocks(num_blocks, 1, [&](std::size_t b0, std::size_t b1) {
+    for (std::size_t b = b0; b < b1; ++b) {
+      const int y0 = static_cast<int>(b) * kRows, rows = std::min(kRows, rasters.height() - y0);
+      const auto depth = rasters.gbuffer().rows<float>("depth", y0, rows), footprint = rasters.gbuffer().rows<float>("footprint", y0, rows);
+      for (std::size_t i = 0; i < depth.size(); ++i)
+        if (depth[i] > 0) partial[b].add(footprint[i]);
+    }
+  });
+  FootprintHistogram sum;
+  for (const FootprintHistogram& h : partial) sum.merge(h);
+  return sum;
+}
+
+int halo_rows(const WindowOptions& options, float smallest_footprint) {
+  const float reach = smallest_footprint > 0 ? 2 * box_half_widths(options.low_radius, smallest_footprint, Vec3f::Zero()).x() : 0;
+  return static_cast<int>(std::ceil(std::max(reach + 1, options.border_px))) + 2;
+}
+
+std::size_t window_bytes_per_pixel() {
+  // pixel, filter, steps, cosv and edge, masks, two distances with their work array or up to two planes on the way in
+  return sizeof(WindowPixel) + sizeof(FilterPixel) + sizeof(FilterStep) + 2 * sizeof(float) + 2 + 3 * sizeof(float);
+}
+
+PhotoWindow load_window(const PhotographRasters& rasters, const stream::Pose& pose, int y0, int y1, int halo, const WindowOptions& options) {
+  Preparation p;
+  p.width = rasters.width();
+  p.y0 = std::max(0, y0 - 1 - halo);
+  p.rows = std::min(rasters.height(), y1 + 1 + halo) - p.y0;
+  p.pixels.resize(p.size());
+  p.filter.resize(p.size());
+  read_geometry(rasters, p);
+  read_mask(rasters, p);
+  read_values(rasters, p, options);
+  p.steps.resize(p.size());
+  set_steps(p, pose.rotation_camera_from_world, options);
+  for (std::size_t i = 0; i < p.size(); ++i) p.pixels[i].weight = p.filter[i].value[4];
+  smooth_surface(p.filter, p.steps, p.width, p.rows);
+  split_bands(p, options);
+
+  PhotoWindow window;
+  window.width = p.width;
+  window.y0 = std::max(0, y0 - 1);
+  window.rows = std::min(rasters.height(), y1 + 1) - window.y0;
+  const auto stride = static_cast<std::size_t>(p.width);
+  const auto begin = p.pixels.begin() + static_cast<std::ptrdiff_t>(static_cast<std::size_t>(window.y0 - p.y0) * stride);
+  p.pixels.erase(begin + static_cast<std::ptrdiff_t>(static_cast<std::size_t>(window.rows) * stride), p.pixels.end());
+  p.pixels.erase(p.pixels.begin(), begin);
+  window.pixels = std::move(p.pixels);
+  return window;
+}
+
+}  // namespace chiaro::blend

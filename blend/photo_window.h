@@ -1,0 +1,76 @@
+/// A band of rows of one photograph, ready to be read at surfels: geometry for the visibility test, weight, and albedo split into bands.
+#pragma once
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "blend/bands.h"
+#include "stream/photo/camera.h"
+#include "stream/photo/raster.h"
+
+namespace chiaro::blend {
+
+/// What the readers of all three rasters of a photograph must agree on, checked once.
+class PhotographRasters {
+ public:
+  /// throws Error naming the file if a plane is missing or a size differs from the lens.
+  PhotographRasters(const stream::Lens& lens, const std::filesystem::path& gbuffer, const std::filesystem::path& albedo, const std::filesystem::path& radiance);
+  const stream::RasterReader& gbuffer() const { return gbuffer_; }
+  const stream::RasterReader& albedo() const { return albedo_; }
+  const stream::RasterReader& radiance() const { return radiance_; }
+  int width() const { return gbuffer_.width(); }
+  int height() const { return gbuffer_.height(); }
+
+ private:
+  stream::RasterReader gbuffer_, albedo_, radiance_;
+};
+
+/// Counts of footprints (project units) on a logarithmic scale, 16 steps an octave: their median fixes the surface scale of the bands.
+class FootprintHistogram {
+ public:
+  void add(float footprint);
+  void merge(const FootprintHistogram& other);
+  /// Centre of the median's step; 0 if nothing was counted.
+  float median() const;
+  /// Lower end of the lowest step that holds something; 0 if none does.
+  float smallest() const;
+
+ private:
+  static constexpr int kSteps = 16, kLowest = -40, kHighest = 40;   // octaves: 1e-12 .. 1e12 project units
+  std::vector<std::uint64_t> counts_ = std::vector<std::uint64_t>(static_cast<std::size_t>((kHighest - kLowest) * kSteps), 0);
+};
+FootprintHistogram footprints(const PhotographRasters& rasters);
+
+struct WindowOptions {
+  float low_radius = 0;           ///< project units: the split between the bands
+  float reference_footprint = 1;  ///< project units
+  float border_px = 24;
+};
+
+/// One pixel as the surfels read it. weight 0: not to be read.
+struct WindowPixel {
+  float depth = 0, footprint = 0, radius = 0;
+  Vec3f normal = Vec3f::Zero();
+  float weight = 0, sigma = 0;
+  Vec3f low = Vec3f::Zero(), high = Vec3f::Zero();
+};
+
+struct PhotoWindow {
+  int width = 0, y0 = 0, rows = 0;   ///< rows of the image that are held: [y0, y0 + rows)
+  std::vector<WindowPixel> pixels;
+  const WindowPixel* at(int x, int y) const {
+    if (x < 0 || x >= width || y < y0 || y >= y0 + rows) return nullptr;
+    return &pixels[static_cast<std::size_t>(y - y0) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)];
+  }
+};
+
+/// Rows that must be read above and below so that every pixel of the window is final.
+int halo_rows(const WindowOptions& options, float smallest_footprint);
+/// Memory while a window is prepared, per pixel, halo included.
+std::size_t window_bytes_per_pixel();
+
+/// Pixels whose surfels belong to rows [y0, y1), with one row more on both sides for interpolation.
+PhotoWindow load_window(const PhotographRasters& rasters, const stream::Pose& pose, int y0, int y1, int halo, const WindowOptions& options);
+
+}  // namespace chiaro::blend
