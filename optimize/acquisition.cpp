@@ -1,0 +1,513 @@
+#include "optimize/acquisition.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "optimize/adam.h"
+#include "optimize/fields.h"
+#include "optimize/photo_band.h"
+#include "optimize/proxy_file.h"
+#include "optimize/radiosity.h"
+#include "stream/base/error.h"
+#include "stream/base/parallel.h"
+#include "stream/base/rng.h"
+
+namespace chiaro::optimize {
+namespace {
+
+constexpr int kSmoothPasses = 2;
+constexpr int kFirstSweeps = 14, kLaterSweeps = 4;
+constexpr double kSweepTolerance = 1e-6, kOuterTolerance = 3e-5;
+/// Pairs of one photograph overlap and texture is not noise: a fiftieth of their information counts as independent.
+constexpr double kPairInformation = 0.02;
+
+std::filesystem::path observation_path(const std::filesystem::path& folder, std::size_t k) { return folder / concat("observation_", k, ".bin"); }
+
+surfels::Tracer make_tracer(const stream::Store& store, const Proxy& proxy, MemoryBudget& budget) {
+  surfels::Tracer tracer(proxy.origin_in_world, budget);
+  for (const std::uint32_t c : proxy.chunks) tracer.add(store.read_chunk(c));
+  tracer.commit();
+  return tracer;
+}
+
+std::vector<surfels::View> views_of(const AcquisitionInput& input) {
+  std::vector<surfels::View> views;
+  for (const ObserveInput& p : input.photographs)
+    views.push_back({p.camera.lens, p.camera.pose, {0, 0, p.camera.lens.width_px, p.camera.lens.height_px}, {}});
+  return views;
+}
+
+Vec3d flash_in_world(const AcquisitionInput& input, std::size_t k) { return input.photographs[k].camera.pose.world_from_camera(input.flash_in_camera); }
+
+LightSample sample_of(const Transport& transport, const Observation& o, const std::vector<float>& gathered, std::size_t i, std::uint32_t group) {
+  LightSample s;
+  s.group = group;
+  for (std::size_t c = 0; c < 3; ++c) {
+    s.radiosity[c] = o.radiosity[3 * i + c];
+    s.gathered[c] = gathered[3 * i + c];
+  }
+  s.flash = o.flash[i];
+  for (std::size_t k = 0; k < kSkyTerms; ++k) s.sky[k] = transport.sky[i * kSkyTerms + k];
+  s.variance = o.variance[i];
+  s.spread = o.spread[i];
+  s.tan_flash = o.tan_flash[i];
+  return s;
+}
+
+/// Surfels that stand for the acquisition in the light solve: seen `at_least` times, chosen by hash so that the choice is even and repeatable.
+std::vector<std::uint32_t> choose_surfels(const std::vector<std::uint16_t>& times_seen, int at_least, std::size_t count, std::uint64_t seed) {
+  std::vector<std::pair<float, std::uint32_t>> order;
+  for (std::size_t i = 0; i < times_seen.size(); ++i)
+    if (times_seen[i] >= at_least) order.emplace_back(uniform01(seed, Purpose::kSampleChoice, i, 0), static_cast<std::uint32_t>(i));
+  std::sort(order.begin(), order.end());
+  if (order.size() > count) order.resize(count);
+  std::vector<std::uint32_t> chosen;
+  for (const auto& [hash, i] : order) chosen.push_back(i);
+  std::sort(chosen.begin(), chosen.end());
+  return chosen;
+}
+
+/// Two surfels of one photograph that probably share their albedo.
+struct Pair {
+  std::uint32_t a, b;
+  float trust;
+};
+
+float chroma_distance(const Observation& o, std::size_t a, std::size_t b) {
+  const auto chroma = [&](std::size_t i) {
+    const Vec3f c(o.radiosity[3 * i], o.radiosity[3 * i + 1], o.radiosity[3 * i + 2]);
+    return Vec3f(c / c.sum());
+  };
+  return (chroma(a) - chroma(b)).norm();
+}
+
+/// Pairs at several scales: a surfel and the seen surfel nearest to a point some way along the surface.
+std::vector<Pair> choose_pairs(const Scene& scene, const Observation& o, std::size_t count, std::uint64_t seed) {
+  const Proxy& proxy = scene.proxy;
+  std::vector<std::uint16_t> seen(o.seen.begin(), o.seen.end());
+  const std::vector<std::uint32_t> starts = choose_surfels(seen, 1, count, seed);
+  constexpr float kScales[] = {4, 12, 36, 108, 324};
+  constexpr float kChromaSigma = 0.02f;
+  std::vector<std::vector<Pair>> found(starts.size());
+  parallel_blocks(starts.size(), 256, [&](std::size_t b, std::size_t e) {
+    for (std::size_t s = b; s < e; ++s) {
+      const std::uint32_t i = starts[s];
+      for (std::size_t scale = 0; scale < std::size(kScales); ++scale) {
+        const auto u = uniform01x4(seed, Purpose::kPairChoice, i, static_cast<std::uint32_t>(scale));
+        const float z = 2 * u[0] - 1, r = std::sqrt(std::max(0.0f, 1 - z * z)), phi = 6.2831853f * u[1];
+        Vec3f direction(r * std::cos(phi), r * std::sin(phi), z);
+        std::uint32_t j;
+        float d2;
+        if (scene.nearest->find(proxy.position[i] + direction * (kScales[scale] * proxy.radius[i]), 1, &j, &d2) == 0 || j == i || !o.seen[j]) continue;
+        const float chroma = chroma_distance(o, i, j);
+        const float trust = std::exp(-0.5f * chroma * chroma / (kChromaSigma * kChromaSigma));
+        if (trust > 0.01f) found[s].push_back({i, j, trust});
+      }
+    }
+  });
+  std::vector<Pair> pairs;
+  for (const auto& f : found) pairs.insert(pairs.end(), f.begin(), f.end());
+  return pairs;
+}
+
+bool inside(const std::vector<Vec2d>& polygon, const Vec2d& p) {
+  bool in = false;
+  for (std::size_t i = 0, j = polygon.size() - 1; i < polygon.size(); j = i++) {
+    const Vec2d &a = polygon[i], &b = polygon[j];
+    if ((a.y() > p.y()) != (b.y() > p.y()) && p.x() < (b.x() - a.x()) * (p.y() - a.y()) / (b.y() - a.y()) + a.x()) in = !in;
+  }
+  return in;
+}
+
+/// The mean over the pixels of a target; what is gathered comes from the proxy around its middle.
+struct ReferenceReading {
+  ReferenceSample reference;
+  Stencil stencil;
+  std::size_t photograph;
+};
+
+std::optional<ReferenceReading> read_reference(const Scene& scene, const AcquisitionInput& input, const ReferenceTarget& target) {
+  const ObserveInput& photo = input.photographs[target.photograph];
+  const stream::RasterReader radiance(photo.radiance), gbuffer(photo.gbuffer);
+  double y0 = 1e9, y1 = -1e9, x0 = 1e9, x1 = -1e9;
+  for (const Vec2d& p : target.polygon) {
+    x0 = std::min(x0, p.x());
+    x1 = std::max(x1, p.x());
+    y0 = std::min(y0, p.y());
+    y1 = std::max(y1, p.y());
+  }
+  const int first = std::max(0, static_cast<int>(std::floor(y0))), last = std::min(gbuffer.height(), static_cast<int>(std::ceil(y1)));
+  const int left = std::max(0, static_cast<int>(std::floor(x0))), right = std::min(gbuffer.width(), static_cast<int>(std::ceil(x1)));
+  if (first >= last || left >= right) return std::nullopt;
+  const PhotoBand band = read_band(radiance, gbuffer, first, last - first);
+  Vec3d colour = Vec3d::Zero();
+  Vec3f point = Vec3f::Zero(), normal = Vec3f::Zero();
+  double flash = 0, spread = 0;
+  int count = 0;
+  for (int y = first; y < last; ++y)
+    for (int x = left; x < right; ++x) {
+      const std::size_t i = band.at(x, y);
+      if (!inside(target.polygon, {x + 0.5, y + 0.5}) || band.mask[i] != 1 || !(band.depth[i] > 0)) continue;
+      colour += band.colour(i).cast<double>();
+      flash += static_cast<double>(band.flash[i]);
+      spread += static_cast<double>(band.spread[i]);
+      point += pixel_point(photo.camera, scene.proxy.origin_in_world, x, y, band.depth[i]);
+      normal += band.normal(i);
+      ++count;
+    }
+  if (count == 0 || !(colour.minCoeff() > 0)) return std::nullopt;
+  ReferenceReading reading;
+  reading.photograph = target.photograph;
+  reading.reference.albedo = target.albedo;
+  // Reading error: noise of the mean and what the model itself is good for at one place.
+  reading.reference.sigma = std::hypot(target.sigma, 0.005);
+  LightSample& s = reading.reference.sample;
+  for (int c = 0; c < 3; ++c) s.radiosity[static_cast<std::size_t>(c)] = static_cast<float>(3.14159265358979 * colour[c] / count);
+  s.flash = static_cast<float>(flash / count);
+  s.spread = static_cast<float>(spread / count);
+  const double mean = colour.mean() / count;
+  s.variance = static_cast<float>((photo.noise.gain * mean + photo.noise.read_sigma * photo.noise.read_sigma) / (mean * mean * count));
+  const Vec3f middle = point / static_cast<float>(count), n = normal.normalized();
+  reading.stencil = stencil_at(scene.proxy, *scene.nearest, middle, n);
+  s.sky = interpolate<kSkyTerms>(reading.stencil, scene.transport.sky);
+  const Vec3f to_flash = (flash_in_world(input, target.photograph) - scene.proxy.origin_in_world).cast<float>() - middle;
+  const float cosine = std::max(0.05f, n.dot(to_flash.normalized()));
+  s.tan_flash = std::sqrt(std::max(0.0f, 1 - cosine * cosine)) / cosine;
+  return reading;
+}
+
+LightSolveOptions solve_options(const AcquisitionInput& input, int sky_terms, bool pairs) {
+  LightSolveOptions o;
+  o.sky_terms = sky_terms;
+  if (input.intensity_range) {
+    const auto [low, high] = *input.intensity_range;
+    o.flash_ln_mean = 0.5 * (std::log(low) + std::log(high));
+    o.flash_ln_sd = std::max(1e-4, 0.25 * std::log(high / low));   // the range is +-2 sigma
+  }
+  if (pairs) o.information = kPairInformation;
+  return o;
+}
+
+Lights start_lights(const AcquisitionInput& input, int sky_terms) {
+  Lights x;
+  x.flash_intensity = input.intensity_range ? std::sqrt((*input.intensity_range)[0] * (*input.intensity_range)[1]) : 1.0;
+  if (sky_terms > 0) x.sky[0] = 0.01 * x.flash_intensity / 4;
+  return x;
+}
+
+/// A flash of unknown strength starts where the brightest surfels have albedo 0.8: only the scale, never a result.
+void guess_flash(const Scene& scene, const AcquisitionInput& input, const std::filesystem::path& folder, Lights& lights) {
+  if (input.intensity_range) return;
+  std::vector<float> ratios;
+  for (std::size_t k = 0; k < input.photographs.size(); ++k) {
+    const Observation o = read_observation(observation_path(folder, k), scene.proxy.size());
+    for (std::size_t i = 0; i < o.seen.size(); i += 7)
+      if (o.seen[i] && o.flash[i] > 0) ratios.push_back(o.radiosity[3 * i + 1] / o.flash[i]);
+  }
+  if (ratios.empty()) return;
+  const auto at = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() * 95 / 100);
+  std::nth_element(ratios.begin(), at, ratios.end());
+  lights.flash_intensity = std::max(1e-9, static_cast<double>(*at) / 0.8);
+  lights.sky[0] = std::min(lights.sky[0], 0.0025 * lights.flash_intensity);
+}
+
+int sky_terms(SkyModel model) {
+  switch (model) {
+    case SkyModel::kNone: return 0;
+    case SkyModel::kUniform:
+    case SkyModel::kAuto: return 1;
+    case SkyModel::kSh1: return 4;
+    case SkyModel::kSh2: return 9;
+  }
+  return 1;
+}
+
+const char* sky_name(int terms) { return terms == 0 ? "none" : terms == 1 ? "uniform" : terms == 4 ? "sh1" : "sh2"; }
+
+/// Mean log albedo of every surfel over the photographs that see it.
+struct AlbedoMean {
+  std::vector<float> weight, sum;   ///< N, 3 N
+  explicit AlbedoMean(std::size_t n) : weight(n, 0.0f), sum(3 * n, 0.0f) {}
+
+  void add(const Transport& transport, const Observation& o, const std::vector<float>& g, const Lights& lights) {
+    parallel_blocks(weight.size(), 4096, [&](std::size_t b, std::size_t e) {
+      for (std::size_t i = b; i < e; ++i) {
+        if (!o.seen[i]) continue;
+        const LightSample s = sample_of(transport, o, g, i, 0);
+        const float w = static_cast<float>(sample_weight(lights, s));
+        double ln[3];
+        bool fine = true;
+        for (int c = 0; c < 3; ++c) {
+          const double h = irradiance(lights, s, c);
+          fine = fine && h > 0 && s.radiosity[static_cast<std::size_t>(c)] > 0;
+          ln[c] = fine ? std::log(static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]) / h) : 0;
+        }
+        if (!fine) continue;
+        weight[i] += w;
+        for (std::size_t c = 0; c < 3; ++c) sum[3 * i + c] += w * static_cast<float>(ln[c]);
+      }
+    });
+  }
+
+  /// Unseen surfels take the albedo of the nearest seen one (physics.md A.4; the median instead costs 5 % of the flash).
+  std::vector<float> albedo(const std::vector<std::uint32_t>& nearest_seen) const {
+    std::vector<float> out(sum.size());
+    for (std::size_t i = 0; i < weight.size(); ++i) {
+      const std::size_t j = weight[i] > 0 || nearest_seen.empty() ? i : nearest_seen[i];
+      for (std::size_t c = 0; c < 3; ++c) out[3 * i + c] = weight[j] > 0 ? std::clamp(std::exp(sum[3 * j + c] / weight[j]), 0.0f, 0.98f) : 0.3f;
+    }
+    return out;
+  }
+};
+
+std::vector<std::uint32_t> nearest_seen_surfels(const Proxy& proxy, const std::vector<std::uint16_t>& times_seen) {
+  std::vector<Vec3f> points;
+  std::vector<std::uint32_t> ids;
+  for (std::size_t i = 0; i < times_seen.size(); ++i)
+    if (times_seen[i] > 0) {
+      points.push_back(proxy.position[i]);
+      ids.push_back(static_cast<std::uint32_t>(i));
+    }
+  std::vector<std::uint32_t> result(times_seen.size());
+  std::iota(result.begin(), result.end(), 0u);
+  if (points.empty()) return {};
+  const NearestPoints nearest(points);
+  parallel_blocks(times_seen.size(), 2048, [&](std::size_t b, std::size_t e) {
+    for (std::size_t i = b; i < e; ++i) {
+      std::uint32_t j;
+      float d2;
+      if (times_seen[i] == 0 && nearest.find(proxy.position[i], 1, &j, &d2) == 1) result[i] = ids[j];
+    }
+  });
+  return result;
+}
+
+/// One set of photographs that share their lights: the whole acquisition, or a single photograph.
+class LightProblem {
+ public:
+  LightProblem(const Scene& scene, const Smoother& smoother, const AcquisitionInput& input, const AcquisitionOptions& options, std::vector<std::size_t> photographs,
+               const std::filesystem::path& folder)
+      : scene_(scene), smoother_(smoother), input_(input), options_(options), photographs_(std::move(photographs)), folder_(folder), times_seen_(scene.proxy.size(), 0) {
+    for (const std::size_t k : photographs_) {
+      const Observation o = read(k);
+      for (std::size_t i = 0; i < times_seen_.size(); ++i) times_seen_[i] = static_cast<std::uint16_t>(times_seen_[i] + o.seen[i]);
+    }
+    nearest_seen_ = nearest_seen_surfels(scene.proxy, times_seen_);
+    use_pairs_ = photographs_.size() == 1;
+    if (use_pairs_) {
+      pairs_ = choose_pairs(scene, read(photographs_[0]), options.light_samples / 4, options.seed);
+    } else {
+      chosen_ = choose_surfels(times_seen_, 2, options.light_samples, options.seed);
+    }
+    for (const ReferenceTarget& t : input.references)
+      if (std::find(photographs_.begin(), photographs_.end(), t.photograph) != photographs_.end())
+        if (auto reading = read_reference(scene, input, t)) references_.push_back(*reading);
+  }
+
+  const std::vector<std::uint16_t>& times_seen() const { return times_seen_; }
+  std::size_t num_references() const { return references_.size(); }
+
+  /// Alternates between what unseen surfels radiate and the lights until nothing moves.
+  LightSolution solve(int terms, const Lights& start, int& outer, double& change, Reporter& report) {
+    LightSolution solution;
+    solution.lights = start;
+    std::vector<float> albedo(3 * scene_.proxy.size(), 0.3f);
+    for (outer = 0; outer < options_.outer_iterations; ++outer) {
+      report.check();
+      albedo = sweep(solution.lights, albedo, outer < 2 ? kFirstSweeps : kLaterSweeps);
+      const Lights before = solution.lights;
+      solution = solve_lights(samples_, current_references(), solve_options(input_, terms, use_pairs_), before);
+      change = std::fabs(std::log(solution.lights.flash_intensity / before.flash_intensity)) +
+               std::fabs(solution.lights.sky[0] - before.sky[0]) / std::max(1e-9, solution.lights.sky[0] + 0.01 * solution.lights.flash_intensity);
+      report.progress(static_cast<std::uint64_t>(outer + 1));
+      if (outer >= 2 && change < kOuterTolerance) break;
+    }
+    // With the lights final: the gathered light that the albedo stage reads.
+    albedo_ = sweep(solution.lights, albedo, kFirstSweeps);
+    return solution;
+  }
+
+  const std::vector<float>& albedo() const { return albedo_; }
+
+ private:
+  Observation read(std::size_t k) const { return read_observation(observation_path(folder_, k), scene_.proxy.size()); }
+
+  /// One pass over the photographs: completes their radiosity under the lights, refreshes the samples, and returns the new mean albedo.
+  std::vector<float> sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps) {
+    AlbedoMean mean(scene_.proxy.size());
+    samples_.clear();
+    for (const std::size_t k : photographs_) {
+      Observation o = read(k);
+      const std::vector<float> g = complete_radiosity(scene_.transport, smoother_, kSmoothPasses, lights, albedo, o, max_sweeps, kSweepTolerance);
+      mean.add(scene_.transport, o, g, lights);
+      if (use_pairs_) {
+        for (std::size_t p = 0; p < pairs_.size(); ++p)
+          for (const std::uint32_t i : {pairs_[p].a, pairs_[p].b}) {
+            samples_.push_back(sample_of(scene_.transport, o, g, i, static_cast<std::uint32_t>(p)));
+            samples_.back().trust = pairs_[p].trust;
+          }
+      } else {
+        for (const std::uint32_t i : chosen_)
+          if (o.seen[i]) samples_.push_back(sample_of(scene_.transport, o, g, i, i));
+      }
+      for (ReferenceReading& r : references_)
+        if (r.photograph == k) r.reference.sample.gathered = interpolate<3>(r.stencil, g);
+      write_observation(o, observation_path(folder_, k));
+      write_floats(g, gathered_path(folder_, k));
+    }
+    std::stable_sort(samples_.begin(), samples_.end(), [](const LightSample& a, const LightSample& b) { return a.group < b.group; });
+    return mean.albedo(nearest_seen_);
+  }
+
+  std::vector<ReferenceSample> current_references() const {
+    std::vector<ReferenceSample> r;
+    for (const ReferenceReading& reading : references_) r.push_back(reading.reference);
+    return r;
+  }
+
+  const Scene& scene_;
+  const Smoother& smoother_;
+  const AcquisitionInput& input_;
+  const AcquisitionOptions& options_;
+  const std::vector<std::size_t> photographs_;
+  const std::filesystem::path folder_;
+  std::vector<std::uint16_t> times_seen_;
+  std::vector<std::uint32_t> nearest_seen_, chosen_;
+  std::vector<Pair> pairs_;
+  std::vector<ReferenceReading> references_;
+  std::vector<LightSample> samples_;
+  std::vector<float> albedo_;
+  bool use_pairs_ = false;
+};
+
+/// The paper's solver on one photograph; its lights and the light it gathers from its own albedo.
+LightSolution solve_with_adam(const Scene& scene, const Smoother& smoother, const AcquisitionInput& input, std::size_t k, const std::filesystem::path& folder,
+                              std::vector<float>& albedo, Reporter& report) {
+  const Observation o = read_observation(observation_path(folder, k), scene.proxy.size());
+  if (!input.intensity_range) throw UsageError("solve.method = \"adam\" searches the flash in its calibrated range: acquisition.flash.intensity_range is missing");
+  const AdamOptions options;
+  const AdamResult result = solve_adam(scene.transport, o, *input.intensity_range, options, report);
+  LightSolution solution;
+  solution.lights.flash_intensity = result.state.flash_intensity;
+  solution.lights.sky[0] = result.state.ambient;
+  solution.scale_known = true;
+  solution.converged = true;
+  solution.iterations = options.search_steps * options.search_iterations + options.iterations;
+  // The solver reports no uncertainty of its own: the calibrated interval is all that is known about its lights.
+  const double sd = 0.25 * std::log((*input.intensity_range)[1] / (*input.intensity_range)[0]);
+  solution.covariance = Eigen::MatrixXd::Zero(3, 3);
+  solution.covariance(0, 0) = sd * sd;
+  const std::vector<float> direct = direct_irradiance(scene.transport, o.flash, solution.lights);
+  const std::vector<float> b = forward_radiosity(scene.transport, result.state.albedo, direct, 1, options.scatterings);
+  std::vector<float> g;
+  gather_radiosity(scene.transport, b, g);
+  smoother.apply(g, 3, kSmoothPasses);
+  write_floats(g, gathered_path(folder, k));
+  albedo = result.state.albedo;
+  return solution;
+}
+
+}  // namespace
+
+std::filesystem::path gathered_path(const std::filesystem::path& folder, std::size_t k) { return folder / concat("gathered_", k, ".bin"); }
+std::filesystem::path proxy_albedo_path(const std::filesystem::path& folder) { return folder / "albedo.bin"; }
+
+std::uint64_t proxy_surfels_within(std::uint64_t bytes, int rays) {
+  // hits, sky, smoother, kd-tree, geometry, blocks and tree, one observation, gathered light, means, samples
+  const std::uint64_t per_surfel = static_cast<std::uint64_t>(rays) * 4 + 36 + 128 + 24 + 33 + 20 + 58 + 24 + 40 + 40;
+  return bytes / per_surfel;
+}
+
+void gather_scene(const stream::Store& store, const AcquisitionInput& input, const AcquisitionOptions& options, const std::filesystem::path& folder,
+                  MemoryBudget& budget, Reporter& report) {
+  const std::uint64_t most = std::min<std::uint64_t>(options.max_proxy_surfels, proxy_surfels_within(budget.free_bytes() * 3 / 4, options.rays));
+  const auto views = views_of(input);
+  Proxy proxy = load_proxy(store, surfels::select_proxy(store, views, most));
+  const BudgetLease lease(budget, proxy.size() * (static_cast<std::uint64_t>(options.rays) * 4 + 300), "light transport");
+  const NearestPoints nearest(proxy.position);
+  std::vector<float> votes(proxy.size(), 0.0f);
+  for (const ObserveInput& photo : input.photographs) {
+    const std::vector<float> v = visibility_votes(proxy, photo);
+    for (std::size_t i = 0; i < votes.size(); ++i) votes[i] += v[i];
+    report.check();
+  }
+  orient(proxy, votes, nearest);
+  const Smoother smoother = make_smoother(proxy, nearest);
+  const surfels::Tracer tracer = make_tracer(store, proxy, budget);
+  const Transport transport = gather(proxy, tracer, smoother, {options.rays, options.seed, kSmoothPasses}, report);
+  write_proxy(proxy, store.manifest().key, folder / "proxy.bin");
+  write_transport(transport, folder / "transport.bin");
+}
+
+Scene load_scene(const stream::Store& store, const std::filesystem::path& folder) {
+  Scene scene;
+  scene.proxy = read_proxy(store, folder / "proxy.bin");
+  scene.transport = read_transport(folder / "transport.bin", scene.proxy.size());
+  scene.nearest = std::make_unique<NearestPoints>(scene.proxy.position);
+  return scene;
+}
+
+AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& scene, const AcquisitionInput& input, const AcquisitionOptions& options,
+                                    const std::filesystem::path& folder, MemoryBudget& budget, Reporter& report) {
+  AcquisitionResult result;
+  const std::size_t count = input.photographs.size();
+  result.proxy_surfels = scene.proxy.size();
+  result.back_share = scene.transport.back_share;
+  {
+    const surfels::Tracer tracer = make_tracer(store, scene.proxy, budget);
+    report.begin("observe", count, "photographs");
+    for (std::size_t k = 0; k < count; ++k) {
+      Observation o = observe(scene.proxy, input.photographs[k]);
+      cast_flash(scene.proxy, tracer, flash_in_world(input, k), o);
+      write_observation(o, observation_path(folder, k));
+      report.progress(k + 1);
+      report.check();
+    }
+    report.end();
+  }
+  const Smoother smoother = make_smoother(scene.proxy, *scene.nearest);
+  const int terms = sky_terms(input.sky);
+  result.sky_model = sky_name(terms);
+  std::vector<float> albedo(3 * scene.proxy.size(), 0.3f);
+  if (input.method == Method::kAdam) {
+    for (std::size_t k = 0; k < count; ++k) {
+      result.lights.push_back(solve_with_adam(scene, smoother, input, k, folder, albedo, report));
+      result.light_of_photograph.push_back(k);
+    }
+  } else if (input.method == Method::kDirect) {
+    LightSolution solution;
+    solution.lights = start_lights(input, 0);
+    guess_flash(scene, input, folder, solution.lights);
+    solution.scale_known = input.intensity_range.has_value();
+    solution.covariance = Eigen::MatrixXd::Zero(2, 2);
+    if (input.intensity_range) solution.covariance(0, 0) = std::pow(0.25 * std::log((*input.intensity_range)[1] / (*input.intensity_range)[0]), 2);
+    result.lights.push_back(solution);
+    result.light_of_photograph.assign(count, 0);
+  } else {
+    std::vector<std::vector<std::size_t>> problems;
+    if (input.method == Method::kJoint) {
+      problems.emplace_back(count);
+      std::iota(problems[0].begin(), problems[0].end(), std::size_t{0});
+    } else {
+      for (std::size_t k = 0; k < count; ++k) problems.push_back({k});
+    }
+    for (const auto& photographs : problems) {
+      LightProblem problem(scene, smoother, input, options, photographs, folder);
+      Lights start = start_lights(input, terms);
+      guess_flash(scene, input, folder, start);
+      report.begin(problems.size() > 1 ? concat("light ", input.names[photographs[0]]) : "light", static_cast<std::uint64_t>(options.outer_iterations), "iterations");
+      result.lights.push_back(problem.solve(terms, start, result.outer_iterations, result.last_change, report));
+      report.end();
+      for (std::size_t i = 0; i < photographs.size(); ++i) result.light_of_photograph.push_back(result.lights.size() - 1);
+      albedo = problem.albedo();
+      for (const std::uint16_t t : problem.times_seen()) result.proxy_seen += t > 0;
+      if (problem.num_references() < input.references.size() && problems.size() == 1)
+        result.notes.push_back(concat(input.references.size() - problem.num_references(), " reference targets cover no usable pixel and were left out"));
+    }
+  }
+  write_floats(albedo, proxy_albedo_path(folder));
+  return result;
+}
+
+}  // namespace chiaro::optimize

@@ -1,0 +1,82 @@
+/// The light of an acquisition: transport on a proxy, observations of every photograph, and the lights that explain them all (design decision 5).
+#pragma once
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "optimize/gather.h"
+#include "optimize/light_solve.h"
+#include "optimize/observe.h"
+#include "stream/base/budget.h"
+#include "stream/base/report.h"
+#include "stream/store/store.h"
+
+namespace chiaro::optimize {
+
+enum class Method { kJoint, kSingle, kAdam, kDirect };
+enum class SkyModel { kNone, kUniform, kSh1, kSh2, kAuto };
+
+struct ReferenceTarget {
+  std::size_t photograph = 0;              ///< index into AcquisitionInput::photographs
+  std::vector<Vec2d> polygon;              ///< pixels, corners at integers
+  std::array<double, 3> albedo{};
+  double sigma = 0.01;
+};
+
+struct AcquisitionInput {
+  std::vector<ObserveInput> photographs;
+  std::vector<std::string> names;
+  Vec3d flash_in_camera = Vec3d::Zero();
+  std::optional<std::array<double, 2>> intensity_range;   ///< about +-2 sigma
+  std::vector<ReferenceTarget> references;
+  SkyModel sky = SkyModel::kAuto;
+  Method method = Method::kJoint;
+};
+
+struct AcquisitionOptions {
+  std::uint64_t max_proxy_surfels = 150000;
+  int rays = 64;
+  std::uint64_t seed = 1;
+  int outer_iterations = 12;
+  std::size_t light_samples = 20000;       ///< surfels that the lights are solved from
+};
+
+/// What the albedo stage needs, on disk under `folder`: transport.bin, observation_K.bin, gathered_K.bin (G of photograph K, N * 3 floats).
+struct AcquisitionResult {
+  std::vector<LightSolution> lights;       ///< one for the acquisition (joint), or one per photograph (single, adam)
+  std::vector<std::size_t> light_of_photograph;
+  std::size_t proxy_surfels = 0, proxy_seen = 0;
+  double back_share = 0;
+  int outer_iterations = 0;
+  double last_change = 0;
+  std::string sky_model;                   ///< "none", "uniform", "sh1", "sh2"
+  std::vector<std::string> notes;
+};
+
+/// The transport of an acquisition, loaded: shared by the light, albedo and render stages.
+struct Scene {
+  Proxy proxy;
+  std::unique_ptr<NearestPoints> nearest;
+  Transport transport;
+};
+
+/// Chooses the proxy cut, orients it by what the photographs see, gathers, and writes folder/proxy.bin and folder/transport.bin.
+/// throws Error, Cancelled.
+void gather_scene(const stream::Store& store, const AcquisitionInput& input, const AcquisitionOptions& options, const std::filesystem::path& folder,
+                  MemoryBudget& budget, Reporter& report);
+
+/// Reads what gather_scene left. throws Error if it is damaged or belongs to another store.
+Scene load_scene(const stream::Store& store, const std::filesystem::path& folder);
+
+/// Finds the lights; writes folder/gathered_K.bin and folder/albedo.bin (3 floats a proxy surfel: the albedo of all photographs together).
+AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& scene, const AcquisitionInput& input, const AcquisitionOptions& options,
+                                    const std::filesystem::path& folder, MemoryBudget& budget, Reporter& report);
+
+std::filesystem::path gathered_path(const std::filesystem::path& folder, std::size_t photograph);
+std::filesystem::path proxy_albedo_path(const std::filesystem::path& folder);
+
+/// Surfels that a budget of `bytes` holds with `rays` hits each.
+std::uint64_t proxy_surfels_within(std::uint64_t bytes, int rays);
+
+}  // namespace chiaro::optimize

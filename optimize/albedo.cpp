@@ -1,0 +1,169 @@
+#include "optimize/albedo.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <limits>
+#include <numbers>
+
+#include "optimize/fields.h"
+#include "optimize/photo_band.h"
+#include "optimize/proxy_file.h"
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/base/parallel.h"
+
+namespace chiaro::optimize {
+namespace {
+
+constexpr double kPi = std::numbers::pi;
+constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
+constexpr int kBandRows = 128;
+
+struct PixelAlbedo {
+  std::array<float, 3> albedo{kNone, kNone, kNone};
+  float sigma = kNone, shared = kNone, direct = 0, indirect = 0, ambient = 0;
+};
+
+struct Context {
+  const Scene& scene;
+  const ObserveInput& photograph;
+  const LightSolution& solution;
+  const std::vector<float>& gathered;
+  const AlbedoOptions& options;
+  Vec3f flash;   ///< scene frame of the proxy
+};
+
+double square(double v) { return v * v; }
+
+/// Relative change of the pixel to its neighbours, per pixel: what a registration error of one pixel does.
+double gradient(const PhotoBand& band, int x, int y) {
+  double sum = 0;
+  const std::size_t i = band.at(x, y);
+  for (const auto& [dx, dy] : {std::pair{1, 0}, std::pair{0, 1}}) {
+    double best = 0;
+    for (const int sign : {-1, 1}) {
+      if (!band.contains(x + sign * dx, y + sign * dy)) continue;
+      const std::size_t j = band.at(x + sign * dx, y + sign * dy);
+      if (!band.usable(j)) continue;
+      best = std::max(best, std::fabs(static_cast<double>(band.g[j] - band.g[i])));
+    }
+    sum += square(best / std::max(1e-9, static_cast<double>(band.g[i])));
+  }
+  return std::sqrt(sum);
+}
+
+PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
+  PixelAlbedo out;
+  const std::size_t i = band.at(x, y);
+  if (band.mask[i] != 1 || !(band.depth[i] > 0)) return out;
+  const Lights& lights = c.solution.lights;
+  LightSample s;
+  s.flash = band.flash[i];
+  const Vec3f point = pixel_point(c.photograph.camera, c.scene.proxy.origin_in_world, x, y, band.depth[i]);
+  if (!c.options.direct_only) {
+    const Stencil stencil = stencil_at(c.scene.proxy, *c.scene.nearest, point, band.normal(i));
+    s.sky = interpolate<kSkyTerms>(stencil, c.scene.transport.sky);
+    s.gathered = interpolate<3>(stencil, c.gathered);
+  }
+  const double direct = lights.flash_intensity * static_cast<double>(s.flash);
+  double ambient = 0;
+  if (!c.options.direct_only)
+    for (std::size_t k = 0; k < kSkyTerms; ++k) ambient += lights.sky[k] * static_cast<double>(s.sky[k]);
+  ambient = std::max(0.0, ambient);
+  const float colour[3] = {band.r[i], band.g[i], band.b[i]};
+  double indirect_mean = 0, total_mean = 0;
+  std::array<double, 3> h{};
+  for (std::size_t ch = 0; ch < 3; ++ch) {
+    const double indirect = c.options.direct_only ? 0.0 : lights.bounce * static_cast<double>(s.gathered[ch]);
+    h[ch] = direct + ambient + indirect;
+    indirect_mean += indirect / 3;
+    total_mean += h[ch] / 3;
+  }
+  if (!(total_mean > 0)) return out;
+  double noise = 0;
+  for (std::size_t ch = 0; ch < 3; ++ch) {
+    out.albedo[ch] = static_cast<float>(kPi * static_cast<double>(colour[ch]) / h[ch]);
+    const double z = std::max(static_cast<double>(colour[ch]), 1e-9);
+    noise += (c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma)) / (z * z) / 3;
+  }
+  const double sd = direct / total_mean, sg = indirect_mean / total_mean;
+  out.direct = static_cast<float>(sd);
+  out.indirect = static_cast<float>(sg);
+  out.ambient = static_cast<float>(ambient / total_mean);
+  const Vec3f to_flash = c.flash - point;
+  const double cosine = std::max(0.05, static_cast<double>(band.normal(i).dot(to_flash) / to_flash.norm()));
+  const double tan_flash = std::sqrt(1 - std::min(1.0, cosine * cosine)) / cosine;
+  const double blur = square(c.options.registration_sigma_px * gradient(band, x, y)) + square(0.3 * sd * static_cast<double>(band.spread[i]));
+  out.sigma = static_cast<float>(std::sqrt(noise + 0.25 * blur + square(c.options.floor)));
+  // Lights, normals, gather and part of the blur are the same for all photographs of a surfel: they do not average out.
+  const auto terms = static_cast<int>(c.solution.covariance.rows());
+  double light = 0;
+  if (terms >= 2) {
+    Eigen::VectorXd j = Eigen::VectorXd::Zero(terms);
+    j[0] = sd;
+    for (int k = 0; k + 2 < terms; ++k) j[1 + k] = static_cast<double>(s.sky[static_cast<std::size_t>(k)]) / total_mean;
+    j[terms - 1] = sg / std::max(1e-9, lights.bounce);
+    light = j.dot(c.solution.covariance * j);
+  }
+  out.shared = static_cast<float>(std::sqrt(std::max(0.0, light) + square(sd * tan_flash * c.options.normal_sigma_rad) + square(0.03 * (1 - sd)) + 0.75 * blur));
+  return out;
+}
+
+}  // namespace
+
+AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, const LightSolution& lights, const Vec3d& flash_in_world,
+                         const std::filesystem::path& gathered_file, const AlbedoOptions& options, const std::filesystem::path& raster, Reporter& report) {
+  const stream::RasterReader radiance(photograph.radiance), gbuffer(photograph.gbuffer);
+  const int width = gbuffer.width(), height = gbuffer.height();
+  std::vector<float> gathered;
+  if (!options.direct_only) gathered = read_floats(gathered_file, scene.proxy.size() * 3);
+  const char* names[] = {"r", "g", "b", "sigma", "shared", "direct", "indirect", "ambient"};
+  std::vector<stream::PlaneInfo> planes;
+  for (const char* name : names) planes.push_back({name, stream::PlaneType::kF32});
+  stream::RasterWriter out(raster, width, height, planes);
+  const Context context{scene, photograph, lights, gathered, options, (flash_in_world - scene.proxy.origin_in_world).cast<float>()};
+  AlbedoStats stats;
+  std::vector<float> sigmas;
+  report.begin(concat("albedo ", photograph.camera.photograph), static_cast<std::uint64_t>(height), "rows");
+  for (int y0 = 0; y0 < height; y0 += kBandRows) {
+    report.check();
+    const int rows = std::min(kBandRows, height - y0), first = std::max(0, y0 - 1), last = std::min(height, y0 + rows + 1);
+    const PhotoBand band = read_band(radiance, gbuffer, first, last - first);
+    std::vector<PixelAlbedo> pixels(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width));
+    parallel_blocks(static_cast<std::size_t>(rows), 2, [&](std::size_t b, std::size_t e) {
+      for (std::size_t row = b; row < e; ++row)
+        for (int x = 0; x < width; ++x)
+          pixels[row * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)] = solve_pixel(context, band, x, y0 + static_cast<int>(row));
+    });
+    std::vector<float> values(pixels.size());
+    const auto put = [&](const char* plane, auto&& get) {
+      for (std::size_t i = 0; i < pixels.size(); ++i) values[i] = get(pixels[i]);
+      out.write_rows<float>(plane, y0, values);
+    };
+    for (std::size_t c = 0; c < 3; ++c) put(names[c], [c](const PixelAlbedo& p) { return p.albedo[c]; });
+    put("sigma", [](const PixelAlbedo& p) { return p.sigma; });
+    put("shared", [](const PixelAlbedo& p) { return p.shared; });
+    put("direct", [](const PixelAlbedo& p) { return p.direct; });
+    put("indirect", [](const PixelAlbedo& p) { return p.indirect; });
+    put("ambient", [](const PixelAlbedo& p) { return p.ambient; });
+    for (const PixelAlbedo& p : pixels) {
+      ++stats.pixels;
+      if (!(p.albedo[1] == p.albedo[1])) continue;
+      ++stats.pixels_solved;
+      stats.pixels_dark += p.direct < 0.05f;
+      stats.pixels_above_one += std::max({p.albedo[0], p.albedo[1], p.albedo[2]}) > 1;
+      if (stats.pixels_solved % 97 == 0) sigmas.push_back(std::hypot(p.sigma, p.shared));
+    }
+    report.progress(static_cast<std::uint64_t>(y0 + rows));
+  }
+  if (!sigmas.empty()) {
+    std::nth_element(sigmas.begin(), sigmas.begin() + static_cast<std::ptrdiff_t>(sigmas.size() / 2), sigmas.end());
+    stats.median_sigma = static_cast<double>(sigmas[sigmas.size() / 2]);
+  }
+  out.commit();
+  report.end();
+  return stats;
+}
+
+}  // namespace chiaro::optimize

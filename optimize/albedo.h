@@ -1,0 +1,30 @@
+/// Albedo of every pixel of a photograph, closed form on cached transport: rho = B / H (physics.md 0.2), with its uncertainty (E.6).
+#pragma once
+#include <filesystem>
+#include <string>
+
+#include "optimize/acquisition.h"
+
+namespace chiaro::optimize {
+
+struct AlbedoOptions {
+  double normal_sigma_rad = 0.02;          ///< error of normals
+  double registration_sigma_px = 0.3;
+  double floor = 0.005;                    ///< relative error that nothing removes
+  bool direct_only = false;                ///< the standard pipeline: no ambient, no bounces
+};
+
+struct AlbedoStats {
+  std::uint64_t pixels = 0, pixels_solved = 0, pixels_dark = 0, pixels_above_one = 0;
+  double median_sigma = 0;
+};
+
+/// Writes `raster` with f32 planes r g b (albedo; NaN = no value), sigma (independent between photographs), shared (what all photographs of a surfel
+/// share: lights, normals, gather), direct, indirect, ambient (shares of the irradiance, sum 1). By bands of rows, in bounded memory.
+AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, const LightSolution& lights, const Vec3d& flash_in_world,
+                         const std::filesystem::path& gathered, const AlbedoOptions& options, const std::filesystem::path& raster, Reporter& report);
+
+/// The pictures of the contract from that raster: albedo.exr, sigma.exr, light.exr in `folder`.
+void write_albedo_pictures(const std::filesystem::path& raster, const std::filesystem::path& folder);
+
+}  // namespace chiaro::optimize

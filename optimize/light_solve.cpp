@@ -1,0 +1,291 @@
+#include "optimize/light_solve.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "stream/base/error.h"
+#include "stream/base/parallel.h"
+
+namespace chiaro::optimize {
+namespace {
+
+constexpr int kMaxParameters = kSkyTerms + 2;
+using VecP = Eigen::Matrix<double, kMaxParameters, 1>;
+using MatP = Eigen::Matrix<double, kMaxParameters, kMaxParameters>;
+
+constexpr double kModelSd = 0.02;                    ///< relative model error that no term names
+constexpr double kNormalSd = 0.01745;                ///< one degree
+constexpr double kGatherSd = 0.03;                   ///< relative error of smoothed sky and bounce terms
+constexpr double kCauchy = 2.385;                    ///< 95 % efficiency for normal residuals (Holland & Welsch 1977)
+constexpr std::size_t kGroupGrain = 256;
+
+/// Parameters: 0 = ln flash, 1 .. sky_terms = sky, sky_terms + 1 = bounce.
+struct Layout {
+  int sky_terms;
+  int bounce() const { return sky_terms + 1; }
+  int size() const { return sky_terms + 2; }
+};
+
+struct Group {
+  std::size_t begin, end;
+};
+
+std::vector<Group> groups_of(std::span<const LightSample> samples) {
+  std::vector<Group> groups;
+  for (std::size_t i = 0; i < samples.size();) {
+    std::size_t e = i + 1;
+    while (e < samples.size() && samples[e].group == samples[i].group) ++e;
+    if (e - i >= 2) groups.push_back({i, e});
+    i = e;
+  }
+  return groups;
+}
+
+/// Residual ln(B/H) and its derivative by the parameters; false where the logarithm does not exist.
+bool residual(const Lights& x, const LightSample& s, int c, const Layout& layout, double& r, VecP& j) {
+  const double h = irradiance(x, s, c), b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]);
+  if (!(h > 0) || !(b > 0)) return false;
+  r = std::log(b / h);
+  j.setZero();
+  j[0] = -x.flash_intensity * static_cast<double>(s.flash) / h;
+  for (int k = 0; k < layout.sky_terms; ++k) j[1 + k] = -static_cast<double>(s.sky[static_cast<std::size_t>(k)]) / h;
+  j[layout.bounce()] = -static_cast<double>(s.gathered[static_cast<std::size_t>(c)]) / h;
+  return true;
+}
+
+struct Normal {
+  MatP a = MatP::Zero(), meat = MatP::Zero();
+  VecP g = VecP::Zero();
+  double objective = 0;
+  Normal& operator+=(const Normal& o) {
+    a += o.a;
+    meat += o.meat;
+    g += o.g;
+    objective += o.objective;
+    return *this;
+  }
+};
+
+/// One group, one channel: residuals with the shared log albedo removed.
+struct Deviations {
+  std::vector<double> r, w;
+  std::vector<VecP> j;
+  double mean_r = 0;
+  VecP mean_j = VecP::Zero();
+};
+
+bool deviations(const Lights& x, std::span<const LightSample> samples, int c, const Layout& layout, double cauchy_scale, Deviations& d) {
+  d.r.clear();
+  d.w.clear();
+  d.j.clear();
+  for (const LightSample& s : samples) {
+    double r;
+    VecP j;
+    if (!residual(x, s, c, layout, r, j)) continue;
+    d.r.push_back(r);
+    d.j.push_back(j);
+    d.w.push_back(sample_weight(x, s) * static_cast<double>(s.trust));
+  }
+  if (d.r.size() < 2) return false;
+  // Two rounds: the mean decides the weights, the weights the mean.
+  for (int round = 0; round < 3; ++round) {
+    double sw = 0, swr = 0;
+    VecP swj = VecP::Zero();
+    for (std::size_t k = 0; k < d.r.size(); ++k) {
+      const double robust = round == 0 || cauchy_scale <= 0 ? 1.0 : 1.0 / (1.0 + d.w[k] * (d.r[k] - d.mean_r) * (d.r[k] - d.mean_r) / (cauchy_scale * cauchy_scale));
+      const double w = d.w[k] * robust;
+      sw += w;
+      swr += w * d.r[k];
+      swj += w * d.j[k];
+    }
+    d.mean_r = swr / sw;
+    d.mean_j = swj / sw;
+  }
+  return true;
+}
+
+double median(std::vector<double>& v) {
+  if (v.empty()) return 0;
+  const auto mid = v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2);
+  std::nth_element(v.begin(), mid, v.end());
+  return *mid;
+}
+
+/// Robust scale of the weighted deviations, and of the plain ones.
+std::pair<double, double> robust_scale(const Lights& x, std::span<const LightSample> samples, const std::vector<Group>& groups, const Layout& layout) {
+  std::vector<double> weighted, plain;
+  Deviations d;
+  const std::size_t stride = std::max<std::size_t>(1, groups.size() / 20000);
+  for (std::size_t g = 0; g < groups.size(); g += stride)
+    for (int c = 0; c < 3; ++c) {
+      if (!deviations(x, samples.subspan(groups[g].begin, groups[g].end - groups[g].begin), c, layout, 0, d)) continue;
+      const double freedom = std::sqrt(static_cast<double>(d.r.size()) / static_cast<double>(d.r.size() - 1));
+      for (std::size_t k = 0; k < d.r.size(); ++k) {
+        const double e = std::fabs(d.r[k] - d.mean_r) * freedom;
+        weighted.push_back(e * std::sqrt(d.w[k]));
+        plain.push_back(e);
+      }
+    }
+  return {1.4826 * median(weighted), 1.4826 * median(plain)};
+}
+
+Normal accumulate(const Lights& x, std::span<const LightSample> samples, const std::vector<Group>& groups, const Layout& layout, double cauchy_scale) {
+  return deterministic_sum<Normal>(groups.size(), kGroupGrain, Normal{}, [&](std::size_t b, std::size_t e) {
+    Normal n;
+    Deviations d;
+    for (std::size_t g = b; g < e; ++g) {
+      VecP score = VecP::Zero();
+      for (int c = 0; c < 3; ++c) {
+        if (!deviations(x, samples.subspan(groups[g].begin, groups[g].end - groups[g].begin), c, layout, cauchy_scale, d)) continue;
+        for (std::size_t k = 0; k < d.r.size(); ++k) {
+          const double r = d.r[k] - d.mean_r;
+          const double u2 = d.w[k] * r * r / (cauchy_scale * cauchy_scale);
+          const double w = d.w[k] / (1.0 + u2);
+          const VecP j = d.j[k] - d.mean_j;
+          n.a += w * j * j.transpose();
+          n.g -= w * r * j;
+          score += w * r * j;
+          n.objective += 0.5 * cauchy_scale * cauchy_scale * std::log1p(u2);
+        }
+      }
+      n.meat += score * score.transpose();
+    }
+    return n;
+  });
+}
+
+void add_references(const Lights& x, std::span<const ReferenceSample> references, const Layout& layout, Normal& n) {
+  for (const ReferenceSample& ref : references)
+    for (int c = 0; c < 3; ++c) {
+      double r;
+      VecP j;
+      if (!residual(x, ref.sample, c, layout, r, j)) continue;
+      r -= std::log(ref.albedo[static_cast<std::size_t>(c)]);
+      // The channels of one target share its error: together they count once.
+      const double w = 1.0 / (3.0 * (ref.sigma * ref.sigma + static_cast<double>(ref.sample.variance)));
+      n.a += w * j * j.transpose();
+      n.g -= w * r * j;
+      n.objective += 0.5 * w * r * r;
+    }
+}
+
+void add_priors(const Lights& x, const LightSolveOptions& options, const Layout& layout, Normal& n) {
+  if (options.flash_ln_mean) {
+    const double w = 1.0 / (*options.flash_ln_sd * *options.flash_ln_sd), r = std::log(x.flash_intensity) - *options.flash_ln_mean;
+    n.a(0, 0) += w;
+    n.g[0] -= w * r;
+    n.objective += 0.5 * w * r * r;
+  }
+  const int b = layout.bounce();
+  const double w = options.bounce_sd > 0 ? 1.0 / (options.bounce_sd * options.bounce_sd) : 1e12, r = x.bounce - 1;
+  n.a(b, b) += w;
+  n.g[b] -= w * r;
+  n.objective += 0.5 * w * r * r;
+  // Directional sky terms are small against the mean: a weak pull to zero keeps unseen directions quiet.
+  for (int k = 1; k < layout.sky_terms; ++k) {
+    const double scale = std::max(x.sky[0], 1e-6 * x.flash_intensity), ws = 1.0 / (scale * scale);
+    n.a(1 + k, 1 + k) += ws;
+    n.g[1 + k] -= ws * x.sky[static_cast<std::size_t>(k)];
+  }
+}
+
+Lights stepped(const Lights& x, const VecP& step, const Layout& layout) {
+  Lights y = x;
+  y.flash_intensity *= std::exp(std::clamp(step[0], -1.0, 1.0));
+  for (int k = 0; k < layout.sky_terms; ++k) y.sky[static_cast<std::size_t>(k)] += step[1 + k];
+  if (layout.sky_terms > 0) y.sky[0] = std::max(0.0, y.sky[0]);
+  y.bounce = std::clamp(y.bounce + step[layout.bounce()], 0.5, 2.0);
+  return y;
+}
+
+}  // namespace
+
+double irradiance(const Lights& lights, const LightSample& s, int c) {
+  double h = lights.flash_intensity * static_cast<double>(s.flash) + lights.bounce * static_cast<double>(s.gathered[static_cast<std::size_t>(c)]);
+  for (std::size_t k = 0; k < kSkyTerms; ++k) h += lights.sky[k] * static_cast<double>(s.sky[k]);
+  return h;
+}
+
+double sample_weight(const Lights& lights, const LightSample& s) {
+  const double h = irradiance(lights, s, 1);
+  if (!(h > 0)) return 0;
+  const double direct = lights.flash_intensity * static_cast<double>(s.flash) / h;
+  const double normal = direct * static_cast<double>(s.tan_flash) * kNormalSd, spread = 0.3 * direct * static_cast<double>(s.spread), gather = kGatherSd * (1 - direct);
+  return 1.0 / (static_cast<double>(s.variance) + kModelSd * kModelSd + normal * normal + spread * spread + gather * gather);
+}
+
+LightSolution solve_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& start) {
+  const Layout layout{options.sky_terms};
+  const std::vector<Group> groups = groups_of(samples);
+  if (groups.empty() && references.empty() && !options.flash_ln_mean)
+    throw Error("lights: no surfel is seen twice, nothing of known albedo is given and the flash has no calibrated range: the light cannot be found");
+  LightSolution solution;
+  solution.groups = groups.size();
+  solution.samples = samples.size();
+  solution.scale_known = options.flash_ln_mean.has_value() || !references.empty();
+  Lights x = start;
+  for (int k = options.sky_terms; k < kSkyTerms; ++k) x.sky[static_cast<std::size_t>(k)] = 0;
+  const int p = layout.size();
+  double damping = 1e-4;
+  const auto build = [&](const Lights& at, double scale) {
+    Normal n = accumulate(at, samples, groups, layout, scale);
+    n.a *= options.information;
+    n.g *= options.information;
+    n.objective *= options.information;
+    n.meat *= options.information * options.information;
+    add_references(at, references, layout, n);
+    add_priors(at, options, layout, n);
+    return n;
+  };
+  double scale = kCauchy * std::max(robust_scale(x, samples, groups, layout).first, 0.1);
+  Normal here = build(x, scale);
+  for (int it = 0; it < options.max_iterations; ++it) {
+    solution.iterations = it + 1;
+    bool pinned = false;   // the sky cannot become darker than black
+    if (layout.sky_terms > 0 && x.sky[0] <= 0 && here.g[1] < 0) pinned = true;
+    Eigen::MatrixXd a = here.a.topLeftCorner(p, p);
+    Eigen::VectorXd g = here.g.head(p);
+    for (int k = 0; k < p; ++k) a(k, k) += damping * std::max(a(k, k), 1e-12) + 1e-30;
+    if (pinned) {
+      a.row(1).setZero();
+      a.col(1).setZero();
+      a(1, 1) = 1;
+      g[1] = 0;
+    }
+    const Eigen::VectorXd solved = a.ldlt().solve(g);
+    VecP step = VecP::Zero();
+    step.head(p) = solved;
+    const Lights y = stepped(x, step, layout);
+    const Normal there = build(y, scale);
+    if (!(there.objective <= here.objective * (1 + 1e-12))) {
+      damping = std::max(damping * 10, 1e-6);
+      if (damping > 1e8) break;
+      continue;
+    }
+    const double change = std::fabs(std::log(y.flash_intensity / x.flash_intensity)) + std::fabs(y.sky[0] - x.sky[0]) / std::max(1e-9, y.sky[0] + 1e-3 * y.flash_intensity);
+    x = y;
+    damping = std::max(damping * 0.1, 1e-9);
+    if (change < 1e-7 && it > 3) {
+      solution.converged = true;
+      break;
+    }
+    // The scale follows the residuals while they still shrink.
+    if (it < 8) scale = kCauchy * std::max(robust_scale(x, samples, groups, layout).first, 0.1);
+    here = it < 8 ? build(x, scale) : there;
+  }
+  solution.lights = x;
+  solution.objective = here.objective;
+  solution.scatter = robust_scale(x, samples, groups, layout).second;
+  // Sandwich: the scatter of the groups' scores is what the data say about their own reliability.
+  Eigen::MatrixXd a = here.a.topLeftCorner(p, p), bread;
+  for (int k = 0; k < p; ++k) a(k, k) += 1e-12;
+  bread = a.ldlt().solve(Eigen::MatrixXd::Identity(p, p));
+  Normal outside;
+  add_references(x, references, layout, outside);
+  add_priors(x, options, layout, outside);
+  const Eigen::MatrixXd meat = here.meat.topLeftCorner(p, p) + outside.a.topLeftCorner(p, p);
+  solution.covariance = bread * meat * bread.transpose();
+  return solution;
+}
+
+}  // namespace chiaro::optimize

@@ -1,0 +1,68 @@
+/// Flash intensity, sky and bounce factor from what surfels look like under different light: robust log-ratio Gauss-Newton with the albedos
+/// eliminated (variable projection, physics.md E.1; weights prototype.md).
+#pragma once
+#include <Eigen/Dense>
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "optimize/gather.h"
+
+namespace chiaro::optimize {
+
+/// H = flash_intensity * d + sum_b sky[b] * T_b + bounce * G, irradiance per colour channel (grey lights).
+struct Lights {
+  double flash_intensity = 1;                 ///< W/sr in the photographs' radiometric unit
+  std::array<double, kSkyTerms> sky{};        ///< sky[0]: ambient radiance; then the terms of sky_basis()
+  double bounce = 1;                          ///< factor on the gathered light; 1 within what the transport is good for
+};
+
+/// One photograph's view of one surfel.
+struct LightSample {
+  std::uint32_t group = 0;                    ///< samples of one group share their albedo; sorted by group
+  std::array<float, 3> radiosity{}, gathered{};
+  float flash = 0;                            ///< d
+  std::array<float, kSkyTerms> sky{};         ///< T
+  float variance = 0, spread = 0, tan_flash = 0;
+  float trust = 1;                            ///< extra weight, 0..1 (pairs of unlike chroma)
+};
+
+/// Something of known albedo.
+struct ReferenceSample {
+  LightSample sample;
+  std::array<double, 3> albedo{};
+  double sigma = 0.01;                        ///< relative, of the albedo and its reading together
+};
+
+struct LightSolveOptions {
+  int sky_terms = 1;                          ///< 0, 1, 4 or 9
+  std::optional<double> flash_ln_mean, flash_ln_sd;   ///< prior on ln flash_intensity
+  double bounce_sd = 0.05;                    ///< prior on bounce around 1; 0 = fixed
+  double information = 1;                     ///< share of the samples' information that is independent (pairs overlap)
+  int max_iterations = 60;
+};
+
+struct LightSolution {
+  Lights lights;
+  Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), bounce): sandwich estimate, prior included
+  double scatter = 0;                         ///< robust standard deviation of ln albedo between samples of a group
+  double objective = 0;                       ///< robust sum at the solution, for comparing models
+  std::size_t groups = 0, samples = 0;
+  int iterations = 0;
+  bool converged = false;
+  bool scale_known = false;                   ///< a prior or a reference fixed the absolute scale
+};
+
+/// Irradiance of a sample, channel c.
+double irradiance(const Lights& lights, const LightSample& sample, int c);
+
+/// Base weight of a sample: 1 / variance of ln(B / H) expected from noise, normals, sub-pixel spread and gather noise.
+double sample_weight(const Lights& lights, const LightSample& sample);
+
+/// throws Error if there is nothing to solve from (no group with two samples and no reference).
+LightSolution solve_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& start);
+
+}  // namespace chiaro::optimize

@@ -1,0 +1,48 @@
+/// What a photograph says about each surfel of the proxy: radiosity and flash irradiance, both averaged over the same pixels (like with like).
+#pragma once
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <vector>
+
+#include "optimize/proxy.h"
+#include "stream/base/report.h"
+#include "stream/photo/camera.h"
+
+namespace chiaro::optimize {
+
+/// Noise of a linear pixel value: variance = gain * value + read_sigma^2.
+struct PixelNoise {
+  double gain = 0, read_sigma = 0;
+};
+
+struct ObserveInput {
+  stream::Camera camera;
+  std::filesystem::path radiance, gbuffer;   ///< rasters of stream/photo/develop.h and surfels/gbuffer.h
+  PixelNoise noise;
+};
+
+/// One photograph on the proxy; arrays of N (colour: 3 N interleaved).
+struct Observation {
+  std::vector<std::uint8_t> seen;      ///< 1: measured in this photograph
+  std::vector<float> radiosity;        ///< seen: pi * mean radiance of the pixels that the surfel covers. Unseen: what the solution says
+  std::vector<float> flash;            ///< flash irradiance per unit intensity, 1/unit^2: mean of the same pixels, or at the surfel where unseen
+  std::vector<float> spread;           ///< relative standard deviation of the flash irradiance in those pixels
+  std::vector<float> variance;         ///< of ln radiosity: pixel noise and what registration does (gradient), mean of the channels
+  std::vector<float> tan_flash;        ///< tangent of the flash's angle of incidence
+};
+
+/// +1 where the camera sees the surfel's front as stored, -1 where it sees the back, 0 unseen: votes for orient().
+std::vector<float> visibility_votes(const Proxy& proxy, const ObserveInput& input);
+
+/// Reads the photograph by bands of rows. `flash` and `tan_flash` of unseen surfels are filled by cast_flash().
+Observation observe(const Proxy& proxy, const ObserveInput& input);
+
+/// Flash irradiance at the surfels that the photograph does not see: shadow rays through the proxy's tracer.
+void cast_flash(const Proxy& proxy, const surfels::Tracer& tracer, const Vec3d& flash_in_world, Observation& observation);
+
+/// State files: an observation between iterations. Not checked beyond size: they live and die with one run of the solver.
+void write_observation(const Observation& observation, const std::filesystem::path& path);
+Observation read_observation(const std::filesystem::path& path, std::size_t num_surfels);
+
+}  // namespace chiaro::optimize
