@@ -1,0 +1,21 @@
+/// One function per format; open_points and create_points choose. Internal to stream/cloud.
+#pragma once
+#include <cstdint>
+#include <memory>
+
+#include "stream/base/file.h"
+#include "stream/cloud/point_stream.h"
+
+namespace chiaro::stream {
+
+std::unique_ptr<PointReader> open_ply(File file);
+std::unique_ptr<PointReader> open_las(File file);
+std::unique_ptr<PointReader> open_pcd(File file, std::uint64_t memory_bytes);
+/// XYZ, TXT, ASC, CSV, PTS.
+std::unique_ptr<PointReader> open_text(File file, bool is_pts);
+
+std::unique_ptr<PointWriter> create_ply(const std::filesystem::path& path, const PointWriterOptions& options);
+std::unique_ptr<PointWriter> create_las(const std::filesystem::path& path, const PointWriterOptions& options);
+std::unique_ptr<PointWriter> create_pcd(const std::filesystem::path& path, const PointWriterOptions& options);
+
+}  // namespace chiaro::stream

@@ -1,0 +1,225 @@
+// LAS 1.4, point format 6 (7 with colour, 8 with near infrared). What the format has no field for goes to extra bytes.
+#include <algorithm>
+#include <cmath>
+
+#include "stream/base/error.h"
+#include "stream/cloud/formats.h"
+#include "stream/cloud/las_format.h"
+#include "stream/cloud/row_writer.h"
+#include "stream/cloud/scalars.h"
+
+namespace chiaro::stream {
+namespace {
+
+using namespace las;
+
+class LasWriter final : public RowWriter {
+ public:
+  LasWriter(const std::filesystem::path& path, const PointWriterOptions& options) : RowWriter(path, options) {
+    plan_record();
+    plan_scale();
+    file_.file().reserve(point_offset() + options_.num_points * record_bytes_);
+    const std::vector<std::byte> header = make_header();
+    file_.append(header.data(), header.size());
+  }
+
+ private:
+  struct Extra {
+    RowSlot from;
+    std::size_t to;
+    std::string name;
+  };
+  struct Core {
+    RowSlot from;
+    CoreField to;
+  };
+
+  // Decides for each property: field of the format, or extra bytes.
+  void plan_record() {
+    const auto& properties = options_.properties;
+    for (std::size_t axis = 0; axis < 3; ++axis) position_[axis] = *find_property(properties, std::string_view("xyz").substr(axis, 1));
+    std::vector<bool> used(properties.size(), false);
+    for (const RowSlot& slot : position_) used[slot.index] = true;
+    plan_colour(used);
+    const auto infrared = find_property(properties, "nir");
+    const bool has_infrared = infrared && infrared->type == ScalarType::kU16;
+    format_ = has_infrared ? 8 : has_colour_ ? 7 : 6;
+    const auto take = [&](const CoreField& core) {
+      const auto slot = find_property(properties, core.name);
+      if (!slot || slot->type != core.type) return;  // of another type: extra bytes, where nothing is lost
+      core_.push_back({*slot, core});
+      used[slot->index] = true;
+    };
+    for (const CoreField& core : kFields) take(core);
+    take({"gps_time", ScalarType::kF64, kTimeAt[format_], 0, 0});
+    if (has_infrared) take({"nir", ScalarType::kU16, kInfraredAt[format_], 0, 0});
+    record_bytes_ = kRecordBytes[format_];
+    std::size_t offset = 0;
+    for (std::size_t i = 0; i < properties.size(); ++i) {
+      const std::size_t bytes = scalar_bytes(properties[i].type);
+      if (!used[i]) {
+        extras_.push_back({{i, offset, properties[i].type}, record_bytes_, properties[i].name});
+        record_bytes_ += bytes;
+      }
+      offset += bytes;
+    }
+    if (record_bytes_ > 65535 || extras_.size() > 65535 / kExtraBytesBytes)
+      throw Error(concat(file_.file().path().string(), ": ", extras_.size(), " properties of ", record_bytes_, " bytes do not fit a LAS record"));
+  }
+
+  void plan_colour(std::vector<bool>& used) {
+    constexpr const char* kNames[] = {"red", "green", "blue"};
+    has_colour_ = true;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const auto slot = find_property(options_.properties, kNames[k]);
+      has_colour_ &= slot && (slot->type == ScalarType::kU8 || slot->type == ScalarType::kU16);
+      if (slot) colour_[k] = *slot;
+    }
+    if (has_colour_)
+      for (const RowSlot& slot : colour_) used[slot.index] = true;
+  }
+
+  // Stored integers are 32-bit: a step that the extent cannot afford is made coarser. Offsets lie on the grid of steps, near the middle.
+  void plan_scale() {
+    const Box3d& box = options_.bounds;
+    if (options_.num_points > 0 && (box.empty() || !box.min.allFinite() || !box.max.allFinite()))
+      throw Error(concat(file_.file().path().string(), ": LAS needs finite bounds of the positions"));
+    for (int axis = 0; axis < 3; ++axis) {
+      const double extent = box.empty() ? 0 : box.max[axis] - box.min[axis];
+      const double finest = extent / 4294000000.0;  // a little fewer than 2^32 steps
+      scale_[axis] = std::max(finest, options_.resolution.value_or(std::max(extent / 2147483648.0, 1e-4)));
+      if (!(scale_[axis] > 0)) scale_[axis] = 1e-4;
+      const double middle = box.empty() ? 0 : box.min[axis] + extent / 2;
+      add_[axis] = std::floor(middle / (scale_[axis] * 1000)) * (scale_[axis] * 1000);
+    }
+  }
+
+  std::size_t vlr_bytes() const { return extras_.empty() ? 0 : kVlrHeaderBytes + extras_.size() * kExtraBytesBytes; }
+  std::size_t point_offset() const { return kHeaderBytes14 + vlr_bytes(); }
+
+  static void put_text(std::byte* at, std::string_view text, std::size_t bytes) { std::memcpy(at, text.data(), std::min(bytes, text.size())); }
+
+  std::vector<std::byte> make_header() const {
+    std::vector<std::byte> header(point_offset());
+    std::byte* at = header.data();
+    put_text(at, "LASF", 4);
+    store_as<std::uint16_t>(at + kGlobalEncoding, 16);  // point formats 6 and up have their coordinate system, if any, as WKT
+    store_as<std::uint8_t>(at + kVersionMajor, 1);
+    store_as<std::uint8_t>(at + kVersionMinor, 4);
+    put_text(at + kSystemId, "OTHER", 32);
+    put_text(at + kSoftware, "chiaro", 32);
+    store_as<std::uint16_t>(at + kHeaderSize, kHeaderBytes14);
+    store_as<std::uint32_t>(at + kPointOffset, static_cast<std::uint32_t>(point_offset()));
+    store_as<std::uint32_t>(at + kNumVlrs, extras_.empty() ? 0 : 1);
+    store_as<std::uint8_t>(at + kPointFormat, static_cast<std::uint8_t>(format_));
+    store_as<std::uint16_t>(at + kRecordLength, static_cast<std::uint16_t>(record_bytes_));
+    store_as<std::uint64_t>(at + kCount, options_.num_points);
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      store_as(at + kScale + 8 * axis, scale_[static_cast<int>(axis)]);
+      store_as(at + kAdd + 8 * axis, add_[static_cast<int>(axis)]);
+    }
+    if (!extras_.empty()) put_extra_bytes(at + kHeaderBytes14);
+    return header;
+  }
+
+  void put_extra_bytes(std::byte* at) const {
+    put_text(at + 2, "LASF_Spec", 16);
+    store_as<std::uint16_t>(at + 18, kExtraBytesRecord);
+    store_as<std::uint16_t>(at + 20, static_cast<std::uint16_t>(extras_.size() * kExtraBytesBytes));
+    put_text(at + 22, "extra bytes", 32);
+    at += kVlrHeaderBytes;
+    for (const Extra& extra : extras_) {
+      constexpr std::uint8_t kTypes[] = {2, 1, 4, 3, 6, 5, 8, 7, 9, 10};  // in the order of ScalarType
+      store_as<std::uint8_t>(at + 2, kTypes[static_cast<std::size_t>(extra.from.type)]);
+      put_text(at + 4, extra.name, 32);
+      put_text(at + 160, extra.name.size() > 32 ? extra.name : std::string(), 32);
+      at += kExtraBytesBytes;
+    }
+  }
+
+  void write_rows(const std::byte* rows, std::size_t count) override {
+    record_.assign(record_bytes_, std::byte{0});
+    for (std::size_t i = 0; i < count; ++i, rows += row_bytes_) {
+      std::fill(record_.begin(), record_.end(), std::byte{0});
+      put_position(rows);
+      for (const Core& core : core_) put_core(core, rows);
+      count_return();
+      if (has_colour_ || format_ == 8) put_colour(rows);
+      for (const Extra& extra : extras_) std::memcpy(record_.data() + extra.to, rows + extra.from.offset, scalar_bytes(extra.from.type));
+      file_.append(record_.data(), record_.size());
+    }
+  }
+
+  void put_position(const std::byte* row) {
+    for (int axis = 0; axis < 3; ++axis) {
+      const RowSlot& slot = position_[static_cast<std::size_t>(axis)];
+      const double value = load_scalar(slot.type, row + slot.offset);
+      const double steps = std::round((value - add_[axis]) / scale_[axis]);
+      if (!(std::abs(steps) <= 2147483647.0))
+        throw Error(concat(file_.file().path().string(), ": coordinate ", "xyz"[axis], " = ", value, " lies outside the announced bounds ", options_.bounds.min[axis], " to ",
+                           options_.bounds.max[axis], ", or is not a number"));
+      store_as(record_.data() + 4 * axis, static_cast<std::int32_t>(steps));
+      const double stored = steps * scale_[axis] + add_[axis];
+      stored_.min[axis] = std::min(stored_.min[axis], stored);
+      stored_.max[axis] = std::max(stored_.max[axis], stored);
+    }
+  }
+
+  void put_core(const Core& core, const std::byte* row) {
+    std::byte* to = record_.data() + core.to.offset;
+    if (core.to.mask == 0) {
+      std::memcpy(to, row + core.from.offset, scalar_bytes(core.to.type));
+    } else {
+      const unsigned value = std::min<unsigned>(std::to_integer<unsigned>(row[core.from.offset]), core.to.mask);
+      *to |= static_cast<std::byte>(value << core.to.shift);
+    }
+  }
+
+  // Points without returns are the first of one; the header counts points by their return.
+  void count_return() {
+    unsigned returns = std::to_integer<unsigned>(record_[14]);
+    if ((returns & 15u) == 0) returns |= 1u;
+    if ((returns >> 4) == 0) returns |= (returns & 15u) << 4;
+    record_[14] = static_cast<std::byte>(returns);
+    ++by_return_[(returns & 15u) - 1];
+  }
+
+  void put_colour(const std::byte* row) {
+    if (!has_colour_) return;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double value = load_scalar(colour_[k].type, row + colour_[k].offset);
+      const double to_16_bit = colour_[k].type == ScalarType::kU8 ? 257 : 1;
+      store_as(record_.data() + kColourAt[format_] + 2 * k, static_cast<std::uint16_t>(value * to_16_bit));
+    }
+  }
+
+  void finish() override {
+    file_.flush();
+    std::byte bounds[48] = {};
+    if (written_ > 0)
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        store_as(bounds + 16 * axis, stored_.max[static_cast<int>(axis)]);
+        store_as(bounds + 16 * axis + 8, stored_.min[static_cast<int>(axis)]);
+      }
+    file_.file().write_at(kBounds, bounds, sizeof bounds);
+    file_.file().write_at(kCountByReturn, by_return_.data(), sizeof by_return_);
+  }
+
+  std::array<RowSlot, 3> position_, colour_;
+  bool has_colour_ = false;
+  std::size_t format_ = 6, record_bytes_ = 0;
+  std::vector<Core> core_;
+  std::vector<Extra> extras_;
+  Vec3d scale_ = Vec3d::Ones(), add_ = Vec3d::Zero();
+  std::vector<std::byte> record_;
+  Box3d stored_;
+  std::array<std::uint64_t, 15> by_return_{};
+};
+
+}  // namespace
+
+std::unique_ptr<PointWriter> create_las(const std::filesystem::path& path, const PointWriterOptions& options) {
+  return std::make_unique<LasWriter>(path, options);
+}
+
+}  // namespace chiaro::stream

@@ -1,0 +1,95 @@
+#include "stream/cloud/point_stream.h"
+
+#include <algorithm>
+#include <cctype>
+
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/cloud/formats.h"
+
+namespace chiaro::stream {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kFormats = "PLY, LAS 1.2 to 1.4, PCD, XYZ/TXT/ASC/CSV and PTS are read";
+
+std::string extension_of(const fs::path& path) {
+  std::string extension = path.extension().string();
+  for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  return extension;
+}
+
+std::string head_of(const File& file) {
+  std::string head(64, '\0');
+  head.resize(file.read_some_at(0, head.data(), head.size()));
+  return head;
+}
+
+bool looks_like_pcd(const std::string& head) {
+  return head.starts_with("# .PCD") || head.starts_with("#.PCD") || head.starts_with("VERSION ") || head.starts_with("FIELDS ");
+}
+
+bool looks_like_ply(const std::string& head) { return head.starts_with("ply") && head.size() > 3 && (head[3] == '\n' || head[3] == '\r' || head[3] == ' '); }
+
+std::unique_ptr<PointReader> open_by_content(File file, std::uint64_t memory_bytes) {
+  const fs::path path = file.path();
+  const std::string extension = extension_of(path), head = head_of(file);
+  const auto refuse = [&](const char* why) -> Error { return Error(concat(path.string(), ": ", why, "; ", kFormats)); };
+  if (head.empty()) throw refuse("the file is empty");
+  if (looks_like_ply(head)) return open_ply(std::move(file));
+  if (head.starts_with("LASF")) return open_las(std::move(file));
+  if (head.starts_with("ASTM-E57")) throw refuse("E57 is not read yet");
+  if (looks_like_pcd(head) || extension == ".pcd") return open_pcd(std::move(file), memory_bytes);
+  if (extension == ".ply") throw refuse("byte 0: expected 'ply' on a line of its own, this is not a PLY file");
+  if (extension == ".las" || extension == ".laz") throw refuse("byte 0: expected 'LASF', this is not a LAS file");
+  for (const char* text : {".xyz", ".txt", ".asc", ".csv", ".pts", ".xyzrgb", ".xyzn"})
+    if (extension == text) return open_text(std::move(file), extension == ".pts");
+  throw refuse("unknown point cloud format");
+}
+
+}  // namespace
+
+std::size_t scalar_bytes(ScalarType type) {
+  switch (type) {
+    case ScalarType::kI8:
+    case ScalarType::kU8: return 1;
+    case ScalarType::kI16:
+    case ScalarType::kU16: return 2;
+    case ScalarType::kI32:
+    case ScalarType::kU32:
+    case ScalarType::kF32: return 4;
+    default: return 8;
+  }
+}
+
+std::size_t PointSchema::extra_bytes() const {
+  std::size_t bytes = 0;
+  for (const PointProperty& extra : extras) bytes += scalar_bytes(extra.type);
+  return bytes;
+}
+
+void PointBlock::clear() {
+  position.clear();
+  normal.clear();
+  colour.clear();
+  extras.clear();
+}
+
+std::unique_ptr<PointReader> open_points(const fs::path& path, std::uint64_t memory_bytes) {
+  std::error_code code;
+  // A pipe would block, and sizes are checked against the file's.
+  if (fs::exists(path, code) && !fs::is_directory(path, code) && !fs::is_regular_file(path, code))
+    throw Error(concat(path.string(), ": not a regular file"));
+  return open_by_content(File(path, File::Mode::kRead), memory_bytes);
+}
+
+std::unique_ptr<PointWriter> create_points(const fs::path& path, const PointWriterOptions& options) {
+  const std::string extension = extension_of(path);
+  if (extension == ".ply") return create_ply(path, options);
+  if (extension == ".las") return create_las(path, options);
+  if (extension == ".pcd") return create_pcd(path, options);
+  throw Error(concat(path.string(), ": cannot write '", extension, "', point clouds are written as .ply, .las or .pcd"));
+}
+
+}  // namespace chiaro::stream

@@ -1,0 +1,200 @@
+#include "stream/cloud/row_decoder.h"
+
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <cmath>
+#include <map>
+#include <string_view>
+
+#include "stream/base/error.h"
+#include "stream/cloud/scalars.h"
+
+namespace chiaro::stream {
+namespace {
+
+// No format needs more; without a limit a header alone could make rows of gigabytes.
+constexpr std::size_t kMaxFields = 4096, kMaxRowBytes = 1 << 18;
+
+std::string lower(std::string text) {
+  for (char& c : text) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  return text;
+}
+
+enum Role { kX, kY, kZ, kNx, kNy, kNz, kRed, kGreen, kBlue, kNumRoles };
+
+int role_of(const std::string& name) {
+  static const std::map<std::string, Role, std::less<>> roles = {
+      {"x", kX}, {"y", kY}, {"z", kZ},
+      {"nx", kNx}, {"ny", kNy}, {"nz", kNz},
+      {"normal_x", kNx}, {"normal_y", kNy}, {"normal_z", kNz},
+      {"normalx", kNx}, {"normaly", kNy}, {"normalz", kNz},
+      {"red", kRed}, {"green", kGreen}, {"blue", kBlue},
+      {"diffuse_red", kRed}, {"diffuse_green", kGreen}, {"diffuse_blue", kBlue},
+      {"r", kRed}, {"g", kGreen}, {"b", kBlue}};
+  const auto found = roles.find(lower(name));
+  return found == roles.end() ? -1 : found->second;
+}
+
+void check_layout(const std::filesystem::path& path, const RowLayout& layout) {
+  if (layout.fields.size() > kMaxFields) throw Error(concat(path.string(), ": ", layout.fields.size(), " values per point, expected at most ", kMaxFields));
+  if (layout.row_bytes > kMaxRowBytes) throw Error(concat(path.string(), ": ", layout.row_bytes, " bytes per point, expected at most ", kMaxRowBytes));
+  std::map<std::string, int, std::less<>> seen;
+  for (const RowField& field : layout.fields)
+    if (++seen[field.name] == 2) throw Error(concat(path.string(), ": two point properties are named '", field.name, "'"));
+}
+
+}  // namespace
+
+std::string_view scalar_name(ScalarType type) {
+  constexpr std::array<std::string_view, 10> kNames = {"char", "uchar", "short", "ushort", "int", "uint", "int64", "uint64", "float", "double"};
+  return kNames[static_cast<std::size_t>(type)];
+}
+
+double field_value(const RowField& field, const std::byte* row) {
+  double value = load_scalar(field.type, row + field.offset);
+  if (field.mask) value = (static_cast<unsigned>(value) >> field.shift) & field.mask;
+  return field.scaled ? value * field.scale + field.add : value;
+}
+
+RowDecoder::RowDecoder(const std::filesystem::path& path, RowLayout layout, std::uint64_t declared_points) : layout_(std::move(layout)) {
+  schema_.declared_points = declared_points;
+  check_layout(path, layout_);
+  find_roles(path);
+}
+
+void RowDecoder::find_roles(const std::filesystem::path& path) {
+  std::array<int, kNumRoles> index;
+  index.fill(-1);
+  for (std::size_t i = 0; i < layout_.fields.size(); ++i) {
+    const int role = role_of(layout_.fields[i].name);
+    if (role < 0) continue;
+    int& slot = index[static_cast<std::size_t>(role)];
+    if (slot >= 0 && role <= kZ) {
+      throw Error(concat(path.string(), ": two coordinates '", layout_.fields[static_cast<std::size_t>(slot)].name, "' and '", layout_.fields[i].name, "'"));
+    }
+    if (slot < 0) slot = static_cast<int>(i);  // of two aliases the first counts; the second is an extra
+  }
+  for (int axis = 0; axis < 3; ++axis) {
+    if (index[static_cast<std::size_t>(axis)] >= 0) continue;
+    std::string names;
+    for (const RowField& field : layout_.fields) names += (names.empty() ? "" : ", ") + field.name;
+    throw Error(concat(path.string(), ": no point property '", "xyz"[axis], "', found: ", names.empty() ? "none" : names));
+  }
+  const auto complete = [&](int first) { return index[first] >= 0 && index[first + 1] >= 0 && index[first + 2] >= 0; };
+  schema_.has_normal = complete(kNx);
+  schema_.has_colour = complete(kRed);
+  std::vector<bool> used(layout_.fields.size(), false);
+  const auto take = [&](int first, RowField* out) {
+    for (int k = 0; k < 3; ++k) {
+      const std::size_t i = static_cast<std::size_t>(index[static_cast<std::size_t>(first + k)]);
+      out[k] = layout_.fields[i];
+      used[i] = true;
+    }
+  };
+  take(kX, position_);
+  if (schema_.has_normal) take(kNx, normal_);
+  if (schema_.has_colour) take(kRed, colour_);
+  for (const RowField& f : position_)
+    schema_.position_is_double |= f.type == ScalarType::kF64 || f.type == ScalarType::kI32 || f.type == ScalarType::kU32 || f.type == ScalarType::kI64 ||
+                                  f.type == ScalarType::kU64;
+  for (const RowField& f : colour_) samples_wanted_ |= schema_.has_colour && f.type != ScalarType::kU8;
+  for (std::size_t i = 0; i < used.size(); ++i)
+    if (!used[i]) add_extra(layout_.fields[i]);
+}
+
+void RowDecoder::add_extra(const RowField& field) {
+  const ScalarType type = field.scaled ? ScalarType::kF64 : field.type;
+  const std::size_t bytes = scalar_bytes(type);
+  schema_.extras.push_back({field.name, type});
+  if (field.scaled || field.mask) {
+    sliced_.push_back({field, extra_bytes_});
+  } else if (!copies_.empty() && copies_.back().from + copies_.back().bytes == field.offset && copies_.back().to + copies_.back().bytes == extra_bytes_) {
+    copies_.back().bytes += bytes;
+  } else {
+    copies_.push_back({field.offset, extra_bytes_, bytes});
+  }
+  extra_bytes_ += bytes;
+}
+
+void RowDecoder::sample_colours(const std::byte* rows, std::size_t count) {
+  for (std::size_t i = 0; i < count; ++i)
+    for (const RowField& field : colour_) {
+      const double value = field_value(field, rows + i * layout_.row_bytes);
+      if (value > colour_max_) colour_max_ = value;
+    }
+}
+
+void RowDecoder::decide_colour_scale() {
+  if (!samples_wanted_) return;
+  const bool floats = is_float(colour_[0].type);
+  colour_scale_ = floats && colour_max_ <= 1 ? 65535 : colour_max_ <= 255 ? 257 : 1;
+  schema_.colour_is_16_bit = colour_scale_ != 257;
+}
+
+void RowDecoder::decode(const std::byte* rows, std::size_t count, PointBlock& block) const {
+  decode_positions(rows, count, block.position);
+  if (schema_.has_normal) {
+    block.normal.reserve(block.normal.size() + count);
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::byte* row = rows + i * layout_.row_bytes;
+      block.normal.emplace_back(static_cast<float>(field_value(normal_[0], row)), static_cast<float>(field_value(normal_[1], row)),
+                                static_cast<float>(field_value(normal_[2], row)));
+    }
+  }
+  if (schema_.has_colour) decode_colours(rows, count, block);
+  if (extra_bytes_ > 0) decode_extras(rows, count, block);
+}
+
+void RowDecoder::decode_positions(const std::byte* rows, std::size_t count, std::vector<Vec3d>& out) const {
+  const std::size_t first = out.size();
+  out.resize(first + count);
+  const bool floats = position_[0].type == ScalarType::kF32 && position_[1].type == ScalarType::kF32 && position_[2].type == ScalarType::kF32 &&
+                      !position_[0].scaled && !position_[1].scaled && !position_[2].scaled;
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::byte* row = rows + i * layout_.row_bytes;
+    Vec3d& p = out[first + i];
+    if (floats) {
+      for (int k = 0; k < 3; ++k) p[k] = static_cast<double>(load_as<float>(row + position_[k].offset));
+    } else {
+      for (int k = 0; k < 3; ++k) p[k] = field_value(position_[k], row);
+    }
+  }
+}
+
+void RowDecoder::decode_colours(const std::byte* rows, std::size_t count, PointBlock& block) const {
+  const std::size_t first = block.colour.size();
+  block.colour.resize(first + count);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::byte* row = rows + i * layout_.row_bytes;
+    for (std::size_t k = 0; k < 3; ++k) {
+      double value = 0;
+      if (!samples_wanted_) {
+        value = 257.0 * std::to_integer<int>(row[colour_[k].offset]);
+      } else {
+        value = field_value(colour_[k], row) * colour_scale_;
+        value = value > 0 ? std::min(value, 65535.0) : 0;  // NaN goes to 0 too
+      }
+      block.colour[first + i][k] = static_cast<std::uint16_t>(value + 0.5);
+    }
+  }
+}
+
+void RowDecoder::decode_extras(const std::byte* rows, std::size_t count, PointBlock& block) const {
+  const std::size_t first = block.extras.size();
+  block.extras.resize(first + count * extra_bytes_);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::byte* row = rows + i * layout_.row_bytes;
+    std::byte* out = block.extras.data() + first + i * extra_bytes_;
+    for (const Copy& copy : copies_) std::memcpy(out + copy.to, row + copy.from, copy.bytes);
+    for (const Sliced& s : sliced_) {
+      if (s.field.scaled) {
+        store_as(out + s.to, field_value(s.field, row));
+      } else {
+        out[s.to] = static_cast<std::byte>((std::to_integer<unsigned>(row[s.field.offset]) >> s.field.shift) & s.field.mask);
+      }
+    }
+  }
+}
+
+}  // namespace chiaro::stream

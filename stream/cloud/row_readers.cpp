@@ -1,0 +1,286 @@
+#include "stream/cloud/row_readers.h"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "stream/base/error.h"
+#include "stream/cloud/scalars.h"
+
+namespace chiaro::stream {
+namespace {
+
+constexpr std::size_t kBufferBytes = 1 << 20;
+
+bool is_blank(char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f'; }
+
+void swap_fields(const RowLayout& layout, std::byte* rows, std::size_t count) {
+  for (std::size_t i = 0; i < count; ++i)
+    for (const RowField& field : layout.fields) {
+      std::byte* at = rows + i * layout.row_bytes + field.offset;
+      std::reverse(at, at + scalar_bytes(field.type));
+    }
+}
+
+class FixedRowReader : public PointReader {
+ public:
+  FixedRowReader(File file, RowDecoder decoder, const FixedRows& rows) : file_(std::move(file)), decoder_(std::move(decoder)), rows_(rows) {
+    const std::size_t row_bytes = decoder_.layout().row_bytes;
+    const std::uint64_t size = file_.size();
+    const std::uint64_t available = size > rows_.offset ? (size - rows_.offset) / row_bytes : 0;
+    if (available < rows_.count) {
+      throw Error(concat(file_.path().string(), ": the header declares ", rows_.count, " points of ", row_bytes, " bytes from offset ", rows_.offset,
+                         ", the file holds ", available, " (", size, " bytes)"));
+    }
+    buffer_.resize(std::max<std::size_t>(1, std::min<std::uint64_t>(kBufferBytes / row_bytes, rows_.count)) * row_bytes);
+    if (decoder_.needs_colour_samples()) sample_colours();
+  }
+
+  const PointSchema& schema() const override { return decoder_.schema(); }
+
+  bool read(PointBlock& block, std::size_t max_points) override {
+    block.clear();
+    const std::size_t row_bytes = decoder_.layout().row_bytes;
+    while (block.size() < max_points && next_ < rows_.count) {
+      const std::uint64_t count = std::min<std::uint64_t>({buffer_.size() / row_bytes, rows_.count - next_, max_points - block.size()});
+      load(next_, static_cast<std::size_t>(count));
+      decoder_.decode(buffer_.data(), static_cast<std::size_t>(count), block);
+      next_ += count;
+    }
+    return block.size() > 0;
+  }
+
+ private:
+  void load(std::uint64_t first, std::size_t count) {
+    const std::size_t row_bytes = decoder_.layout().row_bytes;
+    file_.read_at(rows_.offset + first * row_bytes, buffer_.data(), count * row_bytes);
+    if (rows_.swap_bytes) swap_fields(decoder_.layout(), buffer_.data(), count);
+  }
+
+  // Runs of points spread over the whole file, so that one dark corner does not decide.
+  void sample_colours() {
+    constexpr std::uint64_t kRuns = 64, kRunLength = 256;
+    for (std::uint64_t run = 0; run < kRuns; ++run) {
+      const std::uint64_t first = rows_.count / kRuns * run;
+      const std::uint64_t count = std::min<std::uint64_t>({kRunLength, rows_.count - first, buffer_.size() / decoder_.layout().row_bytes});
+      load(first, static_cast<std::size_t>(count));
+      decoder_.sample_colours(buffer_.data(), static_cast<std::size_t>(count));
+      if (rows_.count <= count) break;
+    }
+    decoder_.decide_colour_scale();
+  }
+
+  File file_;
+  RowDecoder decoder_;
+  FixedRows rows_;
+  std::uint64_t next_ = 0;
+  std::vector<std::byte> buffer_;
+};
+
+class TextRowReader : public PointReader {
+ public:
+  TextRowReader(File file, RowDecoder decoder, TextRows rows)
+      : file_(std::move(file)), decoder_(std::move(decoder)), rows_(std::move(rows)), lines_(file_, rows_.offset, rows_.line) {
+    check_count();
+    if (decoder_.needs_colour_samples()) sample_colours();
+    left_ = rows_.count;
+    announced_ = rows_.count.value_or(0);
+  }
+  const PointSchema& schema() const override { return decoder_.schema(); }
+
+  bool read(PointBlock& block, std::size_t max_points) override {
+    block.clear();
+    while (block.size() < max_points) {
+      const std::size_t count = parse_rows(std::min<std::size_t>(max_points - block.size(), kRowsAtOnce));
+      if (count == 0) break;
+      decoder_.decode(packed_.data(), count, block);
+    }
+    return block.size() > 0;
+  }
+
+ private:
+  static constexpr std::size_t kRowsAtOnce = 1024;
+
+  // Every row needs a character or more: a count beyond that is wrong before a row is read.
+  void check_count() const {
+    const std::uint64_t bytes = file_.size() > rows_.offset ? file_.size() - rows_.offset : 0;
+    if (rows_.count && *rows_.count > bytes)
+      throw Error(concat(file_.path().string(), ": the header declares ", *rows_.count, " points, ", bytes, " bytes follow from line ", rows_.line));
+  }
+
+  void sample_colours() {
+    left_ = rows_.count;
+    announced_ = rows_.count.value_or(0);
+    const std::size_t count = parse_rows(kRowsAtOnce);
+    decoder_.sample_colours(packed_.data(), count);
+    decoder_.decide_colour_scale();
+    lines_ = LineReader(file_, rows_.offset, rows_.line);
+    done_ = 0;
+  }
+
+  bool next_row_line(std::string_view& line) {
+    while (lines_.next(line)) {
+      line = trimmed(line);
+      if (line.empty() || (rows_.comments && is_comment(line))) continue;
+      return true;
+    }
+    return false;
+  }
+
+  [[noreturn]] void fail(const std::string& what) const { throw Error(concat(file_.path().string(), ": line ", lines_.line(), ": ", what)); }
+
+  // The line of the next row. With all announced rows read, what follows in a text file is a further count, or rows that the count forgot.
+  bool next_row(std::string_view& line) {
+    while (!left_ || *left_ > 0 || rows_.to_end) {
+      if (!next_row_line(line)) {
+        if (!left_ || *left_ == 0) return false;
+        throw Error(concat(file_.path().string(), ": ", done_, " of ", announced_, " points read, the file ends early at line ", lines_.line()));
+      }
+      if (!rows_.more_counts || !left_ || *left_ > 0 || !take_count(line)) return true;
+    }
+    return false;
+  }
+
+  bool take_count(std::string_view line) {
+    split_line(line, rows_.separator, tokens_);
+    if (tokens_.size() != 1) return false;
+    const double most = static_cast<double>(file_.size()), number = parse_number(tokens_[0]).value_or(-1);
+    if (!(number >= 0 && number <= most && number == std::floor(number))) fail(concat("'", tokens_[0].substr(0, 40), "' is not a number of points"));
+    left_ = static_cast<std::uint64_t>(number);
+    announced_ += *left_;
+    return true;
+  }
+
+  std::size_t parse_rows(std::size_t max_rows) {
+    const std::size_t row_bytes = decoder_.layout().row_bytes;
+    packed_.resize(max_rows * row_bytes);
+    std::size_t count = 0;
+    std::string_view line;
+    while (count < max_rows && next_row(line)) {
+      parse_row(line, packed_.data() + count * row_bytes);
+      ++count;
+      ++done_;
+      if (left_ && *left_ > 0) --*left_;
+    }
+    return count;
+  }
+
+  void parse_row(std::string_view line, std::byte* row) {
+    split_line(line, rows_.separator, tokens_);
+    if (tokens_.size() != rows_.columns.size()) {
+      check_decimal_commas(line);
+      fail(concat(tokens_.size(), " values, expected ", rows_.columns.size()));
+    }
+    for (std::size_t i = 0; i < tokens_.size(); ++i) {
+      const TextColumn& column = rows_.columns[i];
+      const std::optional<double> value = parse_number(tokens_[i]);
+      if (!value) {
+        check_decimal_commas(line);
+        fail(concat("'", tokens_[i].substr(0, 40), "' is not a number (column ", i + 1, ", ", column.name, ")"));
+      }
+      if (!store_scalar(column.type, *value, row + column.offset))
+        fail(concat(tokens_[i].substr(0, 40), " does not fit the type ", scalar_name(column.type), " of ", column.name));
+    }
+  }
+
+  void check_decimal_commas(std::string_view line) const {
+    if (rows_.separator == ',') return;
+    for (std::size_t i = 1; i + 1 < line.size(); ++i) {
+      const auto digit = [&](std::size_t k) { return line[k] >= '0' && line[k] <= '9'; };
+      if (line[i] == ',' && digit(i - 1) && digit(i + 1)) fail("decimal commas are not read, expected decimal points");
+    }
+  }
+
+  File file_;
+  RowDecoder decoder_;
+  TextRows rows_;
+  LineReader lines_;
+  std::optional<std::uint64_t> left_;
+  std::uint64_t announced_ = 0, done_ = 0;
+  std::vector<std::byte> packed_;
+  std::vector<std::string_view> tokens_;
+};
+
+}  // namespace
+
+bool LineReader::next(std::string_view& line) {
+  std::size_t begin = static_cast<std::size_t>(next_offset_ - buffer_offset_);
+  if (buffer_.empty() || begin > buffer_.size()) begin = buffer_.size();
+  const char* end_of_line = nullptr;
+  if (begin < buffer_.size()) end_of_line = static_cast<const char*>(std::memchr(buffer_.data() + begin, '\n', buffer_.size() - begin));
+  if (!end_of_line) {
+    buffer_.resize(kBufferBytes);
+    buffer_.resize(file_->read_some_at(next_offset_, buffer_.data(), kBufferBytes));
+    buffer_offset_ = next_offset_;
+    begin = 0;
+    if (buffer_.empty()) return false;
+    end_of_line = static_cast<const char*>(std::memchr(buffer_.data(), '\n', buffer_.size()));
+    if (!end_of_line && buffer_.size() == kBufferBytes)
+      throw Error(concat(file_->path().string(), ": line ", next_line_, " (byte ", next_offset_, ") is longer than ", kBufferBytes, " bytes"));
+  }
+  const std::size_t end = end_of_line ? static_cast<std::size_t>(end_of_line - buffer_.data()) : buffer_.size();
+  line = std::string_view(buffer_.data() + begin, end - begin);
+  line_ = next_line_++;
+  line_offset_ = next_offset_;
+  next_offset_ = buffer_offset_ + end + (end_of_line ? 1 : 0);
+  if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
+  return true;
+}
+
+std::string_view trimmed(std::string_view text) {
+  while (!text.empty() && is_blank(text.front())) text.remove_prefix(1);
+  while (!text.empty() && is_blank(text.back())) text.remove_suffix(1);
+  return text;
+}
+
+bool is_comment(std::string_view line) { return !line.empty() && (line[0] == '#' || line[0] == '%' || line.substr(0, 2) == "//"); }
+
+void split_line(std::string_view line, char separator, std::vector<std::string_view>& tokens) {
+  tokens.clear();
+  if (separator != ' ') {
+    for (;;) {
+      const std::size_t at = line.find(separator);
+      tokens.push_back(trimmed(line.substr(0, at)));
+      if (at == std::string_view::npos) break;
+      line.remove_prefix(at + 1);
+    }
+    if (tokens.size() > 1 && tokens.back().empty()) tokens.pop_back();  // a separator at the end of the line
+    return;
+  }
+  std::size_t i = 0;
+  while (i < line.size()) {
+    while (i < line.size() && is_blank(line[i])) ++i;
+    const std::size_t begin = i;
+    while (i < line.size() && !is_blank(line[i])) ++i;
+    if (i > begin) tokens.push_back(line.substr(begin, i - begin));
+  }
+}
+
+std::optional<double> parse_number(std::string_view token) {
+  if (token.size() > 1 && token[0] == '+' && token[1] != '-') token.remove_prefix(1);
+  double value = 0;
+  const char* end = token.data() + token.size();
+  const auto [stop, code] = std::from_chars(token.data(), end, value);
+  if (code == std::errc::result_out_of_range && stop == end) {
+    // Too small is zero; too large is infinite, which the caller counts among the points without a position.
+    const bool tiny = token.find("e-") != std::string_view::npos || token.find("E-") != std::string_view::npos;
+    value = tiny ? 0 : std::numeric_limits<double>::infinity();
+    return token[0] == '-' ? -value : value;
+  }
+  if (code == std::errc{} && stop == end && !token.empty()) return value;
+  const std::string_view magnitude = !token.empty() && token[0] == '-' ? token.substr(1) : token;
+  if (magnitude.substr(0, 3) == "1.#") return std::numeric_limits<double>::quiet_NaN();  // old Microsoft run-time: 1.#QNAN, 1.#IND, 1.#INF
+  return std::nullopt;
+}
+
+std::unique_ptr<PointReader> read_fixed_rows(File file, RowDecoder decoder, const FixedRows& rows) {
+  return std::make_unique<FixedRowReader>(std::move(file), std::move(decoder), rows);
+}
+
+std::unique_ptr<PointReader> read_text_rows(File file, RowDecoder decoder, TextRows rows) {
+  return std::make_unique<TextRowReader>(std::move(file), std::move(decoder), std::move(rows));
+}
+
+}  // namespace chiaro::stream

@@ -1,0 +1,116 @@
+#include <gmock/gmock.h>
+
+#include <cmath>
+
+#include "cloud_test_support.h"
+
+namespace chiaro::stream {
+namespace {
+
+using ::testing::HasSubstr;
+
+class Text : public CloudFiles {};
+
+TEST_F(Text, ThreeColumnsWithAnySeparator) {
+  for (const char* content : {"1 2 3\n4 5 6\n", "  1\t2  3 \r\n\r\n4 5 6", "1,2,3\n4, 5, 6\n", "1;2;3\n4; 5;6\n", "# comment\n1 2 3\n% more\n// and more\n4 5 6\n",
+                              "\xef\xbb\xbf" "1 2 3\n4 5 6\n", "+1 2 3\n4.0 5e0 6\n"}) {
+    SCOPED_TRACE(content);
+    const Cloud cloud = read("a.xyz", content);
+    ASSERT_EQ(cloud.points.size(), 2u);
+    EXPECT_EQ(cloud.points.position[0], Vec3d(1, 2, 3));
+    EXPECT_EQ(cloud.points.position[1], Vec3d(4, 5, 6));
+    EXPECT_FALSE(cloud.schema.position_is_double);
+    EXPECT_EQ(cloud.schema.declared_points, 0u);
+    EXPECT_TRUE(cloud.schema.extras.empty());
+  }
+}
+
+TEST_F(Text, SixColumnsAreColourOrNormal) {
+  const Cloud colour = read("a.txt", "1 2 3 255 0 10\n1 2 3 7 7 7\n");
+  ASSERT_TRUE(colour.schema.has_colour);
+  EXPECT_FALSE(colour.schema.has_normal);
+  EXPECT_EQ(colour.points.colour[0], (std::array<std::uint16_t, 3>{65535, 0, 2570}));
+  const Cloud normal = read("b.txt", "1 2 3 0.6 0 0.8\n1 2 3 0 0 0\n");
+  ASSERT_TRUE(normal.schema.has_normal);
+  EXPECT_EQ(normal.points.normal[0], Vec3f(0.6f, 0, 0.8f));
+  const Cloud other = read("c.txt", "1 2 3 300 0 10.5\n");
+  EXPECT_EQ(extra_of<double>(other, 0, "column_6"), 10.5);
+}
+
+TEST_F(Text, SevenAndNineColumns) {
+  const Cloud seven = read("a.txt", "1 2 3 -40.5 1 2 3\n");
+  EXPECT_EQ(extra_of<double>(seven, 0, "intensity"), -40.5);
+  EXPECT_EQ(seven.points.colour[0][2], 771);
+  const Cloud behind = read("b.txt", "1 2 3 1 2 3 0.125\n");
+  EXPECT_EQ(extra_of<double>(behind, 0, "intensity"), 0.125);
+  EXPECT_EQ(behind.points.colour[0][2], 771);
+  const Cloud nine = read("c.txt", "1 2 3 10 20 30 0 -1 0\n");
+  EXPECT_EQ(nine.points.colour[0][0], 2570);
+  EXPECT_EQ(nine.points.normal[0], Vec3f(0, -1, 0));
+}
+
+TEST_F(Text, AHeaderLineNamesTheColumns) {
+  for (const char* header : {"Z,Y,X,R,G,B,Nx,Ny,Nz,quality", "//Z Y X R G B Nx Ny Nz quality", "# z y x red green blue nx ny nz quality", "\"z\";\"y\";\"x\";\"r\";\"g\";\"b\";\"nx\";\"ny\";\"nz\";\"quality\""}) {
+    SCOPED_TRACE(header);
+    const Cloud cloud = read("a.csv", std::string(header) + "\n3,2,1,0.5,0,1,0,0,1,17\n");
+    ASSERT_EQ(cloud.points.size(), 1u);
+    EXPECT_EQ(cloud.points.position[0], Vec3d(1, 2, 3));
+    EXPECT_EQ(cloud.points.colour[0], (std::array<std::uint16_t, 3>{32768, 0, 65535}));
+    EXPECT_EQ(cloud.points.normal[0], Vec3f(0, 0, 1));
+    EXPECT_EQ(extra_of<double>(cloud, 0, "quality"), 17);
+  }
+}
+
+TEST_F(Text, ManyDigitsNeedDoubles) {
+  EXPECT_TRUE(read("a.xyz", "289814.15 4320978.61 170.76\n").schema.position_is_double);
+  EXPECT_EQ(read("a.xyz", "289814.15 4320978.61 170.76\n").points.position[0].y(), 4320978.61);
+}
+
+TEST_F(Text, NotANumberIsAPosition) {
+  const Cloud cloud = read("a.xyz", "nan NaN -inf\n1.#QNAN 1e999 1e-999\n");
+  EXPECT_TRUE(std::isnan(cloud.points.position[0].x()) && std::isnan(cloud.points.position[0].y()));
+  EXPECT_EQ(cloud.points.position[0].z(), -INFINITY);
+  EXPECT_TRUE(std::isnan(cloud.points.position[1].x()));
+  EXPECT_EQ(cloud.points.position[1].y(), INFINITY);
+  EXPECT_EQ(cloud.points.position[1].z(), 0);
+}
+
+TEST_F(Text, PtsCountsItsPointsAndMayHoldSeveralScans) {
+  const Cloud one = read("a.pts", "2\n1 2 3 -1035 97 59 38\n1 2 3 5 1 2 3\n");
+  EXPECT_EQ(one.schema.declared_points, 2u);
+  EXPECT_EQ(extra_of<double>(one, 0, "intensity"), -1035);
+  EXPECT_EQ(one.points.colour[0][0], 97 * 257);
+  EXPECT_EQ(read("b.pts", "1\r\n1 2 3\r\n2\r\n4 5 6\r\n7 8 9\r\n").points.size(), 3u);
+  EXPECT_THAT(error("c.pts", "3\n1 2 3\n4 5 6\n"), HasSubstr("2 of 3 points"));
+  EXPECT_EQ(read("d.pts", "1\n1 2 3\n4 5 6\n").points.size(), 2u);  // programs do miscount
+  EXPECT_THAT(error("e.pts", "5000000\n1 2 3\n4 5 6\n"), HasSubstr("line 1"));
+}
+
+TEST_F(Text, ErrorsNameTheLine) {
+  EXPECT_THAT(error("a.xyz", "1,5 2,5 3,5\n"), HasSubstr("line 1: decimal commas"));
+  EXPECT_THAT(error("b.csv", "x;y;z\n1;2;3\n1;2,5;3\n"), HasSubstr("line 3: decimal commas"));
+  EXPECT_THAT(error("c.xyz", "1 2 3\n1 2\n"), HasSubstr("line 2: 2 values, expected 3"));
+  EXPECT_THAT(error("d.xyz", "1 2 3\n1 b 3\n"), HasSubstr("line 2: 'b' is not a number"));
+  EXPECT_THAT(error("e.csv", "1,2,3\n1,,3\n"), HasSubstr("line 2: '' is not a number (column 2"));
+  EXPECT_THAT(error("f.xyz", "1 2\n"), HasSubstr("line 1: 2 values, expected 3"));
+  EXPECT_THAT(error("g.xyz", "hello world\n1 2 3\n"), HasSubstr("names of columns with x, y and z"));
+  EXPECT_THAT(error("h.csv", "x,y,z,w\n1,2,3\n"), HasSubstr("line 1 names 4 columns"));
+  EXPECT_THAT(error("i.txt", "# nothing\n\n"), HasSubstr("holds no points"));
+  EXPECT_THAT(error("j.xyz", "1 2 3\n" + std::string(3 << 20, '7') + "\n"), HasSubstr("line 2 (byte 6) is longer than"));
+  EXPECT_THAT(error("k.bin", "1 2 3\n"), HasSubstr("unknown point cloud format"));
+  EXPECT_THAT(error("l.xyz", ""), HasSubstr("empty"));
+  EXPECT_THAT(error_of([&] { open_points(folder_.path() / "missing.xyz"); }), HasSubstr("missing.xyz"));
+  EXPECT_THAT(error_of([&] { open_points(folder_.path()); }), HasSubstr("folder"));
+}
+
+TEST_F(Text, LinesAcrossTheBufferBorderAreWhole) {
+  std::string content;
+  const int count = 200000;  // some 3 MB
+  for (int i = 0; i < count; ++i) content += std::to_string(i) + " " + std::to_string(2 * i) + ".5 1\n";
+  const Cloud cloud = read_all(make("a.xyz", content), 777);
+  ASSERT_EQ(cloud.points.size(), static_cast<std::size_t>(count));
+  for (int i = 0; i < count; ++i) ASSERT_EQ(cloud.points.position[static_cast<std::size_t>(i)], Vec3d(i, 2 * i + 0.5, 1));
+}
+
+}  // namespace
+}  // namespace chiaro::stream
