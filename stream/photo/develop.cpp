@@ -1,0 +1,282 @@
+#include "stream/photo/develop.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <memory>
+
+#include "stream/base/error.h"
+#include "stream/photo/image_io.h"
+#include "stream/photo/noise.h"
+#include "stream/photo/raster.h"
+#include "stream/photo/raw.h"
+
+namespace chiaro::stream {
+namespace fs = std::filesystem;
+namespace {
+
+constexpr int kBandRows = 64;
+static_assert(kBandRows % NoiseEstimator::kBlock == 0);
+
+/// One band as it goes through development.
+struct Band {
+  int y0 = 0, rows = 0;
+  std::vector<float> rgb[3];
+  std::vector<std::uint8_t> flags;  ///< MaskBit, saturation not yet dilated
+};
+
+/// Where linear values come from: a picture file or a mosaic.
+class Source {
+ public:
+  virtual ~Source() = default;
+  virtual void read(Band& band) = 0;
+  int width = 0, height = 0;
+  bool dilate = false;
+  double quantum = 0;  ///< spacing of the linear values near black; 0 for floats
+  std::vector<std::string> notes;
+};
+
+void set_pixel(Band& band, std::size_t i, const float* rgb) {
+  const bool finite = std::isfinite(rgb[0]) && std::isfinite(rgb[1]) && std::isfinite(rgb[2]);
+  if (!finite) band.flags[i] |= kNotFinite;
+  for (std::size_t c = 0; c < 3; ++c) band.rgb[c][i] = finite ? rgb[c] : 0.0f;
+}
+
+class PictureSource : public Source {
+ public:
+  PictureSource(const fs::path& path, const DevelopOptions& options) : image_(path) {
+    const ImageInfo& info = image_.info();
+    width = info.width;
+    height = info.height;
+    notes = info.notes;
+    decode_ = options.encoding == Encoding::kSrgb;
+    if (decode_ && info.is_float)
+      throw Error(concat(path.string(), ": holds floating-point values, which are linear; declared as encoding = \"srgb\", expected \"linear\""));
+    if (!decode_ && info.bits == 8)
+      notes.push_back("8-bit values are taken as linear, as declared; if it is an ordinary JPEG or PNG, use encoding = \"srgb\"");
+    if (decode_ && !info.profile.empty() && info.profile.find("sRGB") == std::string::npos)
+      notes.push_back(concat("its colour profile is \"", info.profile, "\"; it is decoded with the sRGB curve all the same"));
+    dilate = info.bits == 8;
+    if (!info.is_float) limit_ = options.saturation * options.white.value_or(1.0);
+    if (info.is_float && options.white) limit_ = options.saturation * *options.white;
+    if (decode_) {
+      const std::size_t codes = info.bits == 8 ? 256 : 65536;
+      for (std::size_t i = 0; i < codes; ++i) curve_.push_back(static_cast<float>(linear_from_srgb(static_cast<double>(i) / static_cast<double>(codes - 1))));
+    }
+    if (!info.is_float) quantum = decode_ ? static_cast<double>(curve_[1]) : 1.0 / (std::pow(2.0, info.bits) - 1);
+  }
+
+  void read(Band& band) override {
+    const std::size_t num = static_cast<std::size_t>(image_.channels()), count = static_cast<std::size_t>(width) * static_cast<std::size_t>(band.rows);
+    values_.resize(count * num);
+    image_.read_rows(band.y0, band.rows, values_.data());
+    const bool grey = num < 3;
+    for (std::size_t i = 0; i < count; ++i) {
+      const float* in = values_.data() + i * num;
+      float rgb[3] = {in[0], in[grey ? 0 : 1], in[grey ? 0 : 2]};
+      if (limit_ > 0 && (rgb[0] >= static_cast<float>(limit_) || rgb[1] >= static_cast<float>(limit_) || rgb[2] >= static_cast<float>(limit_))) band.flags[i] |= kSaturated;
+      if (decode_)
+        for (float& v : rgb) v = curve_[static_cast<std::size_t>(std::lround(v * static_cast<float>(curve_.size() - 1)))];
+      set_pixel(band, i, rgb);
+    }
+  }
+
+ private:
+  ImageSource image_;
+  bool decode_ = false;
+  double limit_ = 0;
+  std::vector<float> curve_, values_;
+};
+
+class MosaicSource : public Source {
+ public:
+  MosaicSource(const fs::path& path, const DevelopOptions& options) : raw_(path), limit_(options.saturation * options.white.value_or(1.0)) {
+    width = raw_.info().width_px;
+    height = raw_.info().height_px;
+    notes = raw_.info().notes;
+    quantum = 1 / (raw_.info().white - raw_.info().black);
+    dilate = true;
+  }
+  void read(Band& band) override {
+    const std::size_t count = static_cast<std::size_t>(width) * static_cast<std::size_t>(band.rows);
+    values_.resize(count * 3);
+    saturated_.resize(count);
+    raw_.read_rows(band.y0, band.rows, limit_, values_.data(), saturated_.data());
+    for (std::size_t i = 0; i < count; ++i) {
+      if (saturated_[i]) band.flags[i] |= kSaturated;
+      set_pixel(band, i, values_.data() + 3 * i);
+    }
+  }
+
+ private:
+  RawSource raw_;
+  double limit_;
+  std::vector<float> values_;
+  std::vector<std::uint8_t> saturated_;
+};
+
+/// The user's mask, read in step with the photograph.
+class MaskSource {
+ public:
+  MaskSource(const fs::path& path, const fs::path& photograph, int width, int height) {
+    std::error_code ignored;
+    if (!fs::exists(path, ignored)) throw Error(concat(photograph.string(), ": its mask is missing: ", path.string()));
+    image_.emplace(path);
+    if (image_->width() != width || image_->height() != height)
+      throw Error(concat(path.string(), ": the mask is ", image_->width(), " x ", image_->height(), " pixels, its photograph ", photograph.string(), " is ", width, " x ", height));
+    use_alpha_ = image_->info().has_alpha && alpha_varies();
+  }
+
+  void apply(Band& band) {
+    const std::size_t num = static_cast<std::size_t>(image_->channels()), colours = image_->info().has_alpha ? num - 1 : num;
+    load(band.y0, band.rows);
+    for (std::size_t i = 0; i < band.flags.size(); ++i) {
+      const float* v = values_.data() + i * num;
+      float level = use_alpha_ ? v[num - 1] : 0;
+      if (!use_alpha_)
+        for (std::size_t c = 0; c < colours; ++c) level += v[c] / static_cast<float>(colours);
+      if (level >= 0.5f) band.flags[i] |= kUsableByMask;  // NaN fails
+    }
+  }
+
+ private:
+  void load(int y0, int rows) {
+    values_.resize(static_cast<std::size_t>(image_->width()) * static_cast<std::size_t>(rows) * static_cast<std::size_t>(image_->channels()));
+    image_->read_rows(y0, rows, values_.data());
+  }
+  /// An alpha channel that is white all over says nothing; then the colours are the mask.
+  bool alpha_varies() {
+    const std::size_t num = static_cast<std::size_t>(image_->channels());
+    for (int y = 0; y < image_->height(); y += kBandRows) {
+      load(y, std::min(kBandRows, image_->height() - y));
+      for (std::size_t i = num - 1; i < values_.size(); i += num)
+        if (!(values_[i] >= 0.5f)) return true;
+    }
+    return false;
+  }
+  std::optional<ImageSource> image_;
+  bool use_alpha_ = false;
+  std::vector<float> values_;
+};
+
+/// Grows saturation by a square of 2 * radius + 1 pixels while rows pass: a row leaves once the `radius` rows below it are known.
+class RowDilation {
+ public:
+  RowDilation(int width, int height, int radius) : width_(width), height_(height), radius_(radius), ring_(static_cast<std::size_t>(2 * radius + 1)) {}
+
+  /// Takes the flags of row y and calls out(row, flags) for each row that is complete.
+  template <class Out>
+  void push(const std::uint8_t* flags, Out&& out) {
+    Row& row = slot(pushed_);
+    row.flags.assign(flags, flags + width_);
+    row.wide.assign(static_cast<std::size_t>(width_), 0);
+    for (int x = 0; x < width_; ++x)
+      if (flags[x] & kSaturated)
+        std::fill(row.wide.begin() + std::max(0, x - radius_), row.wide.begin() + std::min(width_, x + radius_ + 1), std::uint8_t{kSaturated});
+    ++pushed_;
+    while (left_ < height_ && (left_ + radius_ < pushed_ || pushed_ == height_)) leave(out);
+  }
+
+ private:
+  struct Row {
+    std::vector<std::uint8_t> flags, wide;
+  };
+  Row& slot(int y) { return ring_[static_cast<std::size_t>(y) % ring_.size()]; }
+  template <class Out>
+  void leave(Out& out) {
+    merged_ = slot(left_).flags;
+    for (int y = std::max(0, left_ - radius_); y < std::min(pushed_, left_ + radius_ + 1); ++y)
+      for (std::size_t x = 0; x < merged_.size(); ++x) merged_[x] |= slot(y).wide[x];
+    out(left_, merged_);
+    ++left_;
+  }
+  int width_, height_, radius_, pushed_ = 0, left_ = 0;
+  std::vector<Row> ring_;
+  std::vector<std::uint8_t> merged_;
+};
+
+std::unique_ptr<Source> open_source(const fs::path& photograph, const DevelopOptions& options) {
+  if (options.encoding == Encoding::kRaw) return std::make_unique<MosaicSource>(photograph, options);
+  return std::make_unique<PictureSource>(photograph, options);
+}
+
+void count(DevelopResult& result, const std::vector<std::uint8_t>& mask) {
+  for (const std::uint8_t m : mask) {
+    result.pixels_used += m == kUsableByMask;
+    result.pixels_masked += !(m & kUsableByMask);
+    result.pixels_saturated += (m & kSaturated) != 0;
+    result.pixels_not_finite += (m & kNotFinite) != 0;
+  }
+}
+
+void set_noise(DevelopResult& result, const DevelopOptions& options, const NoiseEstimator& estimator, const Source& source) {
+  if (options.noise) {
+    result.noise = *options.noise;
+    return;
+  }
+  // Rounding to codes is noise that flat areas hide.
+  const double floor = std::max(source.quantum / std::sqrt(12.0), 1e-6);
+  if (const auto fitted = estimator.fit()) {
+    result.noise = *fitted;
+  } else {
+    result.noise = {0, 0.01, true};
+    result.notes.push_back("too few plain areas to estimate its noise; a standard deviation of 0.01 is assumed");
+  }
+  result.noise.read_sigma = std::max(result.noise.read_sigma, floor);
+}
+
+}  // namespace
+
+Encoding encoding_from_name(const std::string& name) {
+  if (name == "linear") return Encoding::kLinear;
+  if (name == "srgb") return Encoding::kSrgb;
+  if (name == "raw") return Encoding::kRaw;
+  throw UsageError(concat("encoding \"", name, "\" is not known, expected linear, srgb or raw"));
+}
+
+DevelopResult develop(const fs::path& photograph, const DevelopOptions& options, const fs::path& out_raster, Reporter& reporter) {
+  if (!(options.saturation > 0) || options.dilate_px < 0 || options.dilate_px > 64 || (options.white && !(*options.white > 0)))
+    throw std::invalid_argument("develop: saturation and white must be positive, dilate_px 0 to 64");
+  const std::unique_ptr<Source> source = open_source(photograph, options);
+  DevelopResult result;
+  result.width_px = source->width;
+  result.height_px = source->height;
+  result.notes = source->notes;
+  std::optional<MaskSource> mask;
+  if (options.mask) mask.emplace(*options.mask, photograph, source->width, source->height);
+
+  RasterWriter writer(out_raster, source->width, source->height, {{"r", PlaneType::kF32}, {"g", PlaneType::kF32}, {"b", PlaneType::kF32}, {"mask", PlaneType::kU8}});
+  NoiseEstimator estimator(source->width, source->height);
+  RowDilation dilation(source->width, source->height, source->dilate ? options.dilate_px : 0);
+  reporter.begin(concat("develop ", photograph.filename().string()), static_cast<std::uint64_t>(source->height), "rows");
+  Band band;
+  std::vector<std::uint8_t> good;
+  for (band.y0 = 0; band.y0 < source->height; band.y0 += kBandRows) {
+    reporter.check();
+    band.rows = std::min(kBandRows, source->height - band.y0);
+    const std::size_t num_pixels = static_cast<std::size_t>(band.rows) * static_cast<std::size_t>(source->width);
+    for (auto& plane : band.rgb) plane.resize(num_pixels);
+    band.flags.assign(num_pixels, mask ? std::uint8_t{0} : std::uint8_t{kUsableByMask});
+    source->read(band);
+    if (mask) mask->apply(band);
+    if (!options.noise) {
+      good.resize(num_pixels);
+      std::transform(band.flags.begin(), band.flags.end(), good.begin(), [](std::uint8_t f) { return static_cast<std::uint8_t>(f == kUsableByMask); });
+      estimator.add_band(band.y0, band.rows, band.rgb, good);
+    }
+    constexpr std::array<const char*, 3> kPlanes = {"r", "g", "b"};
+    for (std::size_t c = 0; c < 3; ++c) writer.write_rows(kPlanes[c], band.y0, std::span<const float>(band.rgb[c]));
+    for (int y = 0; y < band.rows; ++y)
+      dilation.push(band.flags.data() + static_cast<std::size_t>(y) * static_cast<std::size_t>(source->width), [&](int row, const std::vector<std::uint8_t>& flags) {
+        writer.write_rows("mask", row, std::span<const std::uint8_t>(flags));
+        count(result, flags);
+      });
+    reporter.progress(static_cast<std::uint64_t>(band.y0 + band.rows));
+  }
+  writer.commit();
+  set_noise(result, options, estimator, *source);
+  reporter.end();
+  return result;
+}
+
+}  // namespace chiaro::stream

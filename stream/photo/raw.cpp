@@ -1,0 +1,165 @@
+#include "stream/photo/raw.h"
+
+#include <libraw/libraw.h>
+
+#include <algorithm>
+#include <array>
+
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+
+namespace chiaro::stream {
+namespace {
+
+struct DataErrors {
+  bool any = false;
+  long offset = 0;
+};
+
+void on_data_error(void* data, const char*, const int offset) {
+  auto* errors = static_cast<DataErrors*>(data);
+  if (!errors->any) errors->offset = offset;
+  errors->any = true;
+}
+
+/// Colour index (into cdesc) of a mosaic place in visible coordinates; the mosaic's code packs 8 rows of 2 columns, 2 bits each.
+int mosaic_colour(unsigned filters, int row, int column) { return static_cast<int>(filters >> ((((row << 1) & 14) + (column & 1)) << 1)) & 3; }
+
+}  // namespace
+
+struct RawSource::Impl {
+  std::filesystem::path path;
+  RawInfo info;
+  std::unique_ptr<LibRaw> raw = std::make_unique<LibRaw>();  // the object is large: never on a stack
+  DataErrors errors;
+  const std::uint16_t* first = nullptr;  ///< upper left of the visible area
+  std::size_t pitch = 0;                 ///< raw values a stored row
+  std::array<int, 4> channel{};          ///< R, G, B = 0, 1, 2 of the places (0,0) (0,1) (1,0) (1,1) of a cell
+  std::vector<float> black;              ///< one repeat of the black pattern
+  int black_rows = 0, black_columns = 0;
+
+  template <class... Parts>
+  [[noreturn]] void fail(const Parts&... parts) const {
+    throw Error(concat(path.string(), ": RAW: ", parts...));
+  }
+  void check(int code, const char* what) const {
+    if (code != LIBRAW_SUCCESS) fail(what, ": ", code > 0 ? std::generic_category().message(code) : std::string(libraw_strerror(code)));
+    if (errors.any) fail(what, ": pixel data is damaged or ends early near offset ", errors.offset);
+  }
+
+  void unpack() {
+    File readable(path, File::Mode::kRead);
+    raw->set_dataerror_handler(on_data_error, &errors);
+#if LIBRAW_MAJOR_VERSION > 0 || LIBRAW_MINOR_VERSION > 20
+    raw->imgdata.rawparams.max_raw_memory_mb = 1024;
+#else
+    raw->imgdata.params.max_raw_memory_mb = 1024;
+#endif
+    try {
+      check(raw->open_file(path.c_str()), "not readable as camera RAW");
+      const libraw_image_sizes_t& s = raw->imgdata.sizes;
+      if (std::uint64_t{s.raw_width} * s.raw_height > (std::uint64_t{1} << 29)) fail("claims ", s.raw_width, " x ", s.raw_height, " pixels");
+      check(raw->unpack(), "pixels cannot be unpacked");
+    } catch (const Error&) {
+      throw;
+    } catch (const std::exception& error) {
+      fail(error.what());
+    }
+  }
+
+  void check_mosaic() {
+    const libraw_data_t& data = raw->imgdata;
+    if (!data.rawdata.raw_image) fail("holds no mosaic of raw values (sRAW, linear DNG or a layered sensor), which is not supported");
+    if (data.rawdata.ioparams.fuji_width) fail("a sensor turned by 45 degrees is not supported");
+    if (data.color.as_shot_wb_applied) fail("its values are already white-balanced by the camera, so they are not raw");
+    const unsigned filters = data.idata.filters;
+    if (filters < 1000 || data.idata.colors != 3) fail("mosaic ", filters, " with ", data.idata.colors, " colours is not supported, expected a 2x2 Bayer mosaic");
+    for (int row = 0; row < 8; ++row)
+      for (int column = 0; column < 2; ++column)
+        if (letter(row, column) != letter(row & 1, column)) fail("its mosaic does not repeat every 2 rows");
+    std::array<int, 3> count{};
+    for (int place = 0; place < 4; ++place) {
+      const char c = letter(place >> 1, place & 1);
+      channel[static_cast<std::size_t>(place)] = c == 'R' ? 0 : c == 'G' ? 1 : c == 'B' ? 2 : 3;
+      if (channel[static_cast<std::size_t>(place)] == 3) fail("its mosaic holds a colour '", c, "', expected R, G, B");
+      ++count[static_cast<std::size_t>(channel[static_cast<std::size_t>(place)])];
+    }
+    if (count != std::array<int, 3>{1, 2, 1}) fail("its mosaic is not R G G B");
+  }
+  char letter(int row, int column) const { return raw->imgdata.idata.cdesc[mosaic_colour(raw->imgdata.idata.filters, row, column)]; }
+
+  void read_sizes() {
+    const libraw_data_t& data = raw->imgdata;
+    const libraw_image_sizes_t& s = data.sizes;
+    pitch = s.raw_pitch / sizeof(std::uint16_t);
+    if (s.width < 2 || s.height < 2 || s.left_margin + s.width > s.raw_width || s.top_margin + s.height > s.raw_height || pitch < s.raw_width)
+      fail("visible area of ", s.width, " x ", s.height, " at ", s.left_margin, ", ", s.top_margin, " does not fit ", s.raw_width, " x ", s.raw_height);
+    first = data.rawdata.raw_image + std::size_t{s.top_margin} * pitch + s.left_margin;
+    info.camera = concat(data.idata.make, " ", data.idata.model);
+    info.sensor_width_px = s.width;
+    info.sensor_height_px = s.height;
+    info.width_px = s.width / 2;
+    info.height_px = s.height / 2;
+    info.crop_left_px = s.left_margin;
+    info.crop_top_px = s.top_margin;
+    if (s.flip != 0) info.notes.push_back("the camera marks the picture as turned; pixels stay as stored");
+    if (std::abs(s.pixel_aspect - 1) > 1e-3) info.notes.push_back(concat("its pixels are not square (", s.pixel_aspect, "); they stay as stored"));
+  }
+
+  /// Black = common level + level of the mosaic colour + a repeating pattern, all in visible coordinates.
+  void read_levels() {
+    const libraw_colordata_t& color = raw->imgdata.color;
+    const unsigned rows = color.cblack[4], columns = color.cblack[5];
+    const bool pattern = rows > 0 && columns > 0;
+    if (pattern && (rows > LIBRAW_CBLACK_SIZE || columns > LIBRAW_CBLACK_SIZE || rows * columns > LIBRAW_CBLACK_SIZE - 6)) fail("black pattern of ", rows, " x ", columns);
+    black_rows = pattern ? static_cast<int>(rows % 2 ? 2 * rows : rows) : 2;
+    black_columns = pattern ? static_cast<int>(columns % 2 ? 2 * columns : columns) : 2;
+    double sum = 0;
+    for (int r = 0; r < black_rows; ++r)
+      for (int c = 0; c < black_columns; ++c) {
+        double level = color.black + color.cblack[mosaic_colour(raw->imgdata.idata.filters, r & 1, c & 1)];
+        if (pattern) level += color.cblack[6 + static_cast<unsigned>(r) % rows * columns + static_cast<unsigned>(c) % columns];
+        black.push_back(static_cast<float>(level));
+        sum += level;
+      }
+    info.black = sum / static_cast<double>(black.size());
+    info.white = color.maximum;
+    for (const float level : black)
+      if (!(info.white > static_cast<double>(level))) fail("white level ", info.white, " is not above black level ", level);
+  }
+};
+
+RawSource::RawSource(const std::filesystem::path& path) : impl_(std::make_unique<Impl>()) {
+  impl_->path = path;
+  impl_->unpack();
+  impl_->check_mosaic();
+  impl_->read_sizes();
+  impl_->read_levels();
+}
+RawSource::RawSource(RawSource&&) noexcept = default;
+RawSource::~RawSource() = default;
+const RawInfo& RawSource::info() const { return impl_->info; }
+
+void RawSource::read_rows(int y0, int rows, double saturation, float* rgb, std::uint8_t* saturated) const {
+  const Impl& impl = *impl_;
+  if (y0 < 0 || rows < 0 || y0 > impl.info.height_px - rows) throw std::invalid_argument("RawSource::read_rows: rows outside the picture");
+  const float white = static_cast<float>(impl.info.white), limit = static_cast<float>(saturation);
+  for (int y = y0; y < y0 + rows; ++y)
+    for (int x = 0; x < impl.info.width_px; ++x, rgb += 3, ++saturated) {
+      std::array<float, 3> sum{};
+      bool full = false;
+      for (int place = 0; place < 4; ++place) {
+        const int row = 2 * y + (place >> 1), column = 2 * x + (place & 1);
+        const float black = impl.black[static_cast<std::size_t>(row % impl.black_rows * impl.black_columns + column % impl.black_columns)];
+        const float value = (static_cast<float>(impl.first[static_cast<std::size_t>(row) * impl.pitch + static_cast<std::size_t>(column)]) - black) / (white - black);
+        full = full || value >= limit;
+        sum[static_cast<std::size_t>(impl.channel[static_cast<std::size_t>(place)])] += value;
+      }
+      rgb[0] = sum[0];
+      rgb[1] = 0.5f * sum[1];
+      rgb[2] = sum[2];
+      *saturated = full;
+    }
+}
+
+}  // namespace chiaro::stream

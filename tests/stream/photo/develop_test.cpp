@@ -1,0 +1,355 @@
+#include "stream/photo/develop.h"
+
+#include <ImfFrameBuffer.h>
+#include <ImfHeader.h>
+#include <ImfOutputFile.h>
+#include <ImfChannelList.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "stream/photo/image_io.h"
+#include "stream/photo/noise.h"
+#include "stream/photo/raster.h"
+#include "stream/photo/raw.h"
+#include "tests/stream/photo/photo_support.h"
+
+namespace chiaro::stream {
+namespace {
+namespace fs = std::filesystem;
+
+class Develop : public testing::Test {
+ protected:
+  DevelopResult run(const fs::path& photograph, const DevelopOptions& options) { return develop(photograph, options, raster_path(), silent_reporter()); }
+  fs::path raster_path() const { return scratch_.path() / "out.raster"; }
+  RasterReader raster() const { return RasterReader(raster_path()); }
+  fs::path path(const std::string& name) const { return scratch_.path() / name; }
+  ScratchFolder scratch_;
+};
+
+TEST_F(Develop, LinearisesEightBitSrgbByTheCurve) {
+  std::vector<std::uint8_t> values;
+  for (int i = 0; i < 16 * 16; ++i)
+    for (int c = 0; c < 3; ++c) values.push_back(static_cast<std::uint8_t>(c == 0 ? i : c == 1 ? 255 - i : 100));
+  write_png_srgb8(path("a.png"), 16, 16, values);
+  DevelopOptions options;
+  options.encoding = Encoding::kSrgb;
+  options.dilate_px = 0;
+  const DevelopResult result = run(path("a.png"), options);
+  const auto red = raster().all<float>("r"), green = raster().all<float>("g"), blue = raster().all<float>("b");
+  const auto mask = raster().all<std::uint8_t>("mask");
+  std::uint64_t saturated = 0;
+  for (int i = 0; i < 256; ++i) {
+    const std::size_t k = static_cast<std::size_t>(i);
+    EXPECT_FLOAT_EQ(red[k], static_cast<float>(linear_from_srgb(i / 255.0)));
+    EXPECT_FLOAT_EQ(green[k], static_cast<float>(linear_from_srgb((255 - i) / 255.0)));
+    EXPECT_FLOAT_EQ(blue[k], static_cast<float>(linear_from_srgb(100 / 255.0)));
+    const bool full = i >= 250 || 255 - i >= 250;  // 0.98 * 255 = 249.9
+    EXPECT_EQ(mask[k], full ? kUsableByMask | kSaturated : kUsableByMask) << i;
+    saturated += full;
+  }
+  EXPECT_EQ(result.pixels_saturated, saturated);
+  EXPECT_EQ(result.pixels_used, 256 - saturated);
+  EXPECT_EQ(result.pixels_masked, 0u);
+}
+
+TEST_F(Develop, SaturationGrowsByTwoPixelsAcrossBands) {
+  // One white pixel in the last row of the first band of 64 rows, one in a corner.
+  const int width = 20, height = 70;
+  std::vector<std::uint8_t> values(static_cast<std::size_t>(width * height * 3), 50);
+  const auto set = [&](int x, int y) { values[static_cast<std::size_t>((y * width + x) * 3 + 1)] = 255; };
+  set(10, 63);
+  set(0, 69);
+  write_png_srgb8(path("a.png"), width, height, values);
+  DevelopOptions options;
+  options.encoding = Encoding::kSrgb;
+  run(path("a.png"), options);
+  const auto mask = raster().all<std::uint8_t>("mask");
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x) {
+      const bool near = (std::abs(x - 10) <= 2 && std::abs(y - 63) <= 2) || (x <= 2 && y >= 67);
+      EXPECT_EQ((mask[static_cast<std::size_t>(y * width + x)] & kSaturated) != 0, near) << x << "," << y;
+    }
+}
+
+TEST_F(Develop, FloatsHaveNoWhiteUnlessGivenAndBadValuesAreMarked) {
+  std::vector<float> values(4 * 2 * 3, 0.25f);
+  values[0] = std::nanf("");
+  values[3 + 1] = INFINITY;
+  values[6] = -0.5f;
+  values[9] = 100;
+  write_exr(path("a.exr"), 4, 2, {"R", "G", "B"}, values, false);
+  DevelopResult result = run(path("a.exr"), {});
+  auto mask = raster().all<std::uint8_t>("mask");
+  EXPECT_EQ(mask, (std::vector<std::uint8_t>{5, 5, 1, 1, 1, 1, 1, 1}));
+  EXPECT_EQ(raster().all<float>("r"), (std::vector<float>{0, 0, -0.5f, 100, 0.25f, 0.25f, 0.25f, 0.25f}));
+  EXPECT_EQ(result.pixels_not_finite, 2u);
+  EXPECT_EQ(result.pixels_used, 6u);
+  DevelopOptions options;
+  options.white = 50;
+  run(path("a.exr"), options);
+  EXPECT_EQ(raster().all<std::uint8_t>("mask")[3], kUsableByMask | kSaturated);
+  options.encoding = Encoding::kSrgb;
+  EXPECT_NE(error_of([&] { run(path("a.exr"), options); }).find("expected \"linear\""), std::string::npos);
+}
+
+TEST_F(Develop, PixelsOutsideTheDataWindowHoldNoData) {
+  // Display window 6 x 5 with a data window that is shifted, smaller below and reaches beyond it on the left.
+  Imf::Header header(Imath::Box2i({10, 20}, {15, 24}), Imath::Box2i({8, 21}, {13, 23}));
+  std::vector<float> values;
+  for (int i = 0; i < 6 * 3; ++i) values.push_back(static_cast<float>(i));
+  for (const char* name : {"R", "G", "B"}) header.channels().insert(name, Imf::Channel(Imf::FLOAT));
+  {
+    Imf::OutputFile file(path("a.exr").c_str(), header);
+    Imf::FrameBuffer frame;
+    for (const char* name : {"R", "G", "B"})
+      frame.insert(name, Imf::Slice(Imf::FLOAT, reinterpret_cast<char*>(reinterpret_cast<std::uintptr_t>(values.data()) - (21 * 6 + 8) * sizeof(float)), sizeof(float), 6 * sizeof(float)));
+    file.setFrameBuffer(frame);
+    file.writePixels(3);
+  }
+  const DevelopResult result = run(path("a.exr"), {});
+  EXPECT_EQ(result.width_px, 6);
+  EXPECT_EQ(result.height_px, 5);
+  EXPECT_EQ(result.pixels_used, 4u * 3u);
+  const auto red = raster().all<float>("r");
+  EXPECT_EQ(red[6], 2);          // x = 10, y = 21 of the file
+  EXPECT_EQ(red[3 * 6 + 3], 17); // x = 13, y = 23
+  EXPECT_EQ(raster().all<std::uint8_t>("mask")[6 + 4], kUsableByMask | kNotFinite);
+}
+
+TEST_F(Develop, MasksAreCutAtHalfInAnyFormat) {
+  write_exr(path("a.exr"), 4, 1, {"R", "G", "B"}, std::vector<float>(12, 0.5f), false);
+  DevelopOptions options;
+  const auto mask_of = [&](const std::string& name) {
+    options.mask = path(name);
+    run(path("a.exr"), options);
+    return raster().all<std::uint8_t>("mask");
+  };
+  const std::vector<std::uint8_t> expected = {0, 0, 1, 1};
+  write_png_srgb8(path("grey.png"), 4, 1, std::vector<std::uint8_t>{0, 127, 128, 255}, 1);
+  EXPECT_EQ(mask_of("grey.png"), expected);
+  write_png_srgb16(path("deep.png"), 4, 1, std::vector<std::uint16_t>{0, 32767, 32768, 65535}, 1);
+  EXPECT_EQ(mask_of("deep.png"), expected);
+  write_png_srgb8(path("rgb.png"), 4, 1, std::vector<std::uint8_t>{0, 0, 0, 255, 0, 0, 255, 255, 0, 255, 255, 255});
+  EXPECT_EQ(mask_of("rgb.png"), expected);
+  write_exr(path("alpha.exr"), 4, 1, {"R", "G", "B", "A"}, std::vector<float>{1, 1, 1, 0, 1, 1, 1, 0.4f, 0, 0, 0, 1, 0, 0, 0, 1}, false);
+  EXPECT_EQ(mask_of("alpha.exr"), expected);
+  write_exr(path("opaque.exr"), 4, 1, {"R", "G", "B", "A"}, std::vector<float>{0, 0, 0, 1, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1}, false);
+  EXPECT_EQ(mask_of("opaque.exr"), expected);
+}
+
+TEST_F(Develop, MissingAndOddMasksAreNamed) {
+  write_exr(path("a.exr"), 4, 1, {"R", "G", "B"}, std::vector<float>(12, 0.5f), false);
+  DevelopOptions options;
+  options.mask = path("masks/a.png");
+  std::string message = error_of([&] { run(path("a.exr"), options); });
+  EXPECT_NE(message.find("a.exr: its mask is missing: "), std::string::npos) << message;
+  EXPECT_NE(message.find("masks/a.png"), std::string::npos) << message;
+  write_png_srgb8(path("b.png"), 2, 3, std::vector<std::uint8_t>(6, 255), 1);
+  options.mask = path("b.png");
+  message = error_of([&] { run(path("a.exr"), options); });
+  EXPECT_NE(message.find("the mask is 2 x 3 pixels"), std::string::npos) << message;
+  EXPECT_NE(message.find("is 4 x 1"), std::string::npos) << message;
+  EXPECT_FALSE(fs::exists(raster_path()));
+}
+
+TEST_F(Develop, LeavesNoRasterBehindOnDamage) {
+  write_exr(path("a.exr"), 50, 200, {"R", "G", "B"}, std::vector<float>(30000, 0.5f), false);
+  const std::string bytes = file_bytes(path("a.exr"));
+  put_bytes(path("a.exr"), bytes.substr(0, bytes.size() - 40));
+  EXPECT_NE(error_of([&] { run(path("a.exr"), {}); }), "");
+  EXPECT_EQ(std::distance(fs::directory_iterator(scratch_.path()), fs::directory_iterator()), 1);
+}
+
+TEST_F(Develop, SixteenBitGreyGivesThreeEqualPlanes) {
+  write_png_srgb16(path("a.png"), 2, 1, std::vector<std::uint16_t>{1000, 65000}, 1);
+  run(path("a.png"), {});
+  EXPECT_FLOAT_EQ(raster().all<float>("g")[0], 1000 / 65535.0f);
+  EXPECT_EQ(raster().all<float>("r"), raster().all<float>("b"));
+  EXPECT_EQ(raster().all<std::uint8_t>("mask"), (std::vector<std::uint8_t>{1, 3}));  // 16 bits: not dilated
+}
+
+TEST(Encoding, NamesAreThoseOfTheProjectFile) {
+  EXPECT_EQ(encoding_from_name("linear"), Encoding::kLinear);
+  EXPECT_EQ(encoding_from_name("srgb"), Encoding::kSrgb);
+  EXPECT_EQ(encoding_from_name("raw"), Encoding::kRaw);
+  EXPECT_THROW(encoding_from_name("jpeg"), UsageError);
+}
+
+// ---- noise
+
+/// A picture with a ramp of brightness, some texture, and noise of known size.
+NoiseModel estimate_synthetic(double gain, double read_sigma, double texture) {
+  constexpr int kWidth = 512, kHeight = 512;
+  NoiseEstimator estimator(kWidth, kHeight);
+  std::vector<float> rgb[3];
+  std::vector<std::uint8_t> good(static_cast<std::size_t>(kWidth * kHeight), 1);
+  for (int c = 0; c < 3; ++c)
+    for (int y = 0; y < kHeight; ++y)
+      for (int x = 0; x < kWidth; ++x) {
+        double z = 0.02 + 0.8 * (x + 0.3 * y) / (1.3 * kWidth);
+        if (y % 64 < 32) z *= 1 + texture * std::sin(0.9 * x) * std::cos(0.7 * y);
+        const double sigma = std::sqrt(gain * z + read_sigma * read_sigma);
+        rgb[c].push_back(static_cast<float>(z + sigma * normal01(5, Purpose::kTest, static_cast<std::uint64_t>((c * kHeight + y) * kWidth + x), 0)));
+      }
+  estimator.add_band(0, kHeight, rgb, good);
+  return estimator.fit().value();
+}
+
+TEST(Noise, IsRecoveredFromPlainAndFromTexturedPictures) {
+  const NoiseModel flat = estimate_synthetic(0, 0.01, 0);
+  EXPECT_NEAR(flat.variance(0.4) / 1e-4, 1, 0.05);
+  for (const double texture : {0.0, 0.2}) {
+    const NoiseModel model = estimate_synthetic(1e-4, 2e-3, texture);
+    if (std::getenv("CHIARO_TEST_VERBOSE")) std::printf("gain %g read %g\n", model.gain, model.read_sigma);
+    for (const double z : {0.05, 0.2, 0.7}) EXPECT_NEAR(model.variance(z) / (1e-4 * z + 4e-6), 1, 0.15) << texture << " " << z;
+    EXPECT_NEAR(model.gain, 1e-4, 2e-5) << texture;
+  }
+}
+
+TEST(Noise, IsNotEstimatedFromNothing) {
+  EXPECT_FALSE(NoiseEstimator(100, 100).fit());
+}
+
+TEST_F(Develop, EstimatesNoiseOnlyWhereNotGiven) {
+  std::vector<float> values;
+  for (int i = 0; i < 200 * 200 * 3; ++i) values.push_back(static_cast<float>(0.5 + 0.01 * normal01(9, Purpose::kTest, static_cast<std::uint64_t>(i), 0)));
+  write_exr(path("a.exr"), 200, 200, {"R", "G", "B"}, values, false);
+  const DevelopResult estimated = run(path("a.exr"), {});
+  EXPECT_TRUE(estimated.noise.estimated);
+  EXPECT_NEAR(std::sqrt(estimated.noise.variance(0.5)), 0.01, 0.001);
+  DevelopOptions options;
+  options.noise = NoiseModel{1e-3, 2e-3, false};
+  const DevelopResult given = run(path("a.exr"), options);
+  EXPECT_EQ(given.noise.gain, 1e-3);
+  EXPECT_FALSE(given.noise.estimated);
+}
+
+// ---- files that other programs wrote
+
+TEST_F(Develop, RealKodakRawGivesALinearHalfSizePicture) {
+  CHIARO_NEED_SHARED(shared);
+  for (const auto& entry : fs::directory_iterator(shared / "real/raw")) {
+    if (!entry.is_regular_file()) continue;
+    const RawSource raw(entry.path());
+    EXPECT_EQ(raw.info().width_px * 2, raw.info().sensor_width_px & ~1);
+    DevelopOptions options;
+    options.encoding = Encoding::kRaw;
+    const DevelopResult result = run(entry.path(), options);
+    EXPECT_EQ(result.width_px, 384);
+    EXPECT_EQ(result.height_px, 256);
+    EXPECT_GT(result.pixels_used, 384u * 256u / 2);
+    const auto green = raster().all<float>("g");
+    const auto [low, high] = std::minmax_element(green.begin(), green.end());
+    EXPECT_GT(*low, -0.2f);
+    EXPECT_LE(*high, 1.2f);
+    EXPECT_GT(*high - *low, 0.1f);
+    if (std::getenv("CHIARO_TEST_VERBOSE"))
+      std::printf("%s: white %g black %g, values %g..%g, used %llu saturated %llu, noise %g %g\n", raw.info().camera.c_str(), raw.info().white, raw.info().black, static_cast<double>(*low),
+                  static_cast<double>(*high), static_cast<unsigned long long>(result.pixels_used), static_cast<unsigned long long>(result.pixels_saturated), result.noise.gain, result.noise.read_sigma);
+  }
+}
+
+TEST_F(Develop, RealRawStubsAreRefusedWithAReason) {
+  CHIARO_NEED_SHARED(shared);
+  DevelopOptions options;
+  options.encoding = Encoding::kRaw;
+  for (const char* folder : {"real/raw/stubs", "real/malformed"})
+    for (const auto& entry : fs::directory_iterator(shared / folder)) {
+      if (!entry.is_regular_file()) continue;
+      const std::string message = error_of([&] { run(entry.path(), options); });
+      EXPECT_NE(message.find(entry.path().filename().string()), std::string::npos) << entry.path();
+      if (std::getenv("CHIARO_TEST_VERBOSE") && std::string(folder) == "real/raw/stubs") std::printf("%s\n", message.c_str());
+    }
+}
+
+TEST_F(Develop, RealRawSurvivesDamage) {
+  CHIARO_NEED_SHARED(shared);
+  for (const auto& entry : fs::directory_iterator(shared / "real/raw")) {
+    if (!entry.is_regular_file()) continue;
+    const std::string bytes = file_bytes(entry.path());
+    survive_damage(path("bad.kdc"), bytes, 12, [&] { RawSource raw(path("bad.kdc")); });
+    // The header, where the sizes are, more densely.
+    for (std::size_t i = 0; i < std::min<std::size_t>(bytes.size(), 1200); i += 13) {
+      std::string damaged = bytes;
+      damaged[i] = static_cast<char>(damaged[i] ^ 0xff);
+      put_bytes(path("bad.kdc"), damaged);
+      error_of([&] { RawSource raw(path("bad.kdc")); });
+    }
+  }
+}
+
+TEST_F(Develop, RealChartLadderIsLinearAndItsLongExposuresAreSaturated) {
+  CHIARO_NEED_SHARED(shared);
+  const fs::path chart = shared / "real/chart_bayer";
+  const Image labels = read_image(chart / "d2_colorChecker30cm_550nm_labels.png");
+  double means[5] = {}, saturated[5] = {};
+  const int exposures[5] = {25, 50, 100, 250, 500};
+  for (int e = 0; e < 5; ++e)
+    for (const auto& entry : fs::directory_iterator(chart)) {
+      if (entry.path().filename().string().find(concat("_550nm_", exposures[e], "ms_")) == std::string::npos) continue;
+      const DevelopResult result = run(entry.path(), {});
+      saturated[e] = static_cast<double>(result.pixels_saturated);
+      const auto values = raster().all<float>("g");
+      int num = 0;
+      for (int y = 0; y < labels.height; y += 2)
+        for (int x = 0; x < labels.width; x += 2)
+          if (std::lround(labels.at(x, y, 0) * 255) == 22) {  // neutral 5, one Bayer phase
+            means[e] += static_cast<double>(values[static_cast<std::size_t>(y * result.width_px + x)]);
+            ++num;
+          }
+      ASSERT_GT(num, 20);
+      means[e] /= num;
+    }
+  if (std::getenv("CHIARO_TEST_VERBOSE"))
+    for (int e = 0; e < 5; ++e) std::printf("%d ms: mean %g, saturated %g\n", exposures[e], means[e] * 255, saturated[e]);
+  EXPECT_NEAR(means[1] / means[0], 2, 0.15);
+  EXPECT_NEAR(means[2] / means[1], 2, 0.15);
+  EXPECT_LT(saturated[0], saturated[4]);
+  EXPECT_GT(saturated[4], 10000);
+}
+
+TEST_F(Develop, RealPanelHasTheGreyOfItsSensor) {
+  CHIARO_NEED_SHARED(shared);
+  const DevelopResult result = run(shared / "real/micasense/IMG_0000_1.tif", {});
+  const auto values = raster().all<float>("g");
+  double sum = 0;
+  for (int y = 520; y < 640; ++y)
+    for (int x = 690; x < 810; ++x) sum += static_cast<double>(values[static_cast<std::size_t>(y * 1280 + x)]);
+  const double panel = sum / (120 * 120);
+  EXPECT_GT(panel, 0.2);
+  EXPECT_LT(panel, 0.98);
+  EXPECT_EQ(result.pixels_not_finite, 0u);
+  if (std::getenv("CHIARO_TEST_VERBOSE")) std::printf("panel %g, noise %g %g\n", panel * 65535, result.noise.gain, result.noise.read_sigma);
+}
+
+TEST_F(Develop, RealScenesNoiseIsEstimatedNearTheDeclaredOne) {
+  CHIARO_NEED_SHARED(shared);
+  for (const char* scene : {"sphere", "vplanes_textured", "tower"}) {
+    const fs::path folder = shared / "scenes" / scene;
+    if (!fs::exists(folder / "photos/photo_00.exr")) continue;
+    DevelopOptions options;
+    if (fs::exists(folder / "masks/photo_00.png")) options.mask = folder / "masks/photo_00.png";
+    const DevelopResult result = run(folder / "photos/photo_00.exr", options);
+    EXPECT_TRUE(result.noise.estimated);
+    // Declared: gain 1e-4, read 4e-4; the renderer adds noise of its own.
+    const double ratio = result.noise.variance(0.3) / (1e-4 * 0.3 + 1.6e-7);
+    EXPECT_GT(ratio, 0.5) << scene;
+    EXPECT_LT(ratio, 10) << scene;
+    if (std::getenv("CHIARO_TEST_VERBOSE")) std::printf("%s: gain %g read %g ratio at 0.3 %g, used %llu\n", scene, result.noise.gain, result.noise.read_sigma, ratio, static_cast<unsigned long long>(result.pixels_used));
+  }
+}
+
+TEST_F(Develop, RealFlashPhotographIsDeveloped) {
+  CHIARO_NEED_SHARED(shared);
+  DevelopOptions options;
+  options.encoding = Encoding::kSrgb;
+  const DevelopResult result = run(shared / "real/rodin_flash/photos/231016_miaEURO_9506.jpg", options);
+  EXPECT_EQ(result.width_px, 2172);
+  EXPECT_EQ(result.pixels_masked, 0u);
+  raster().verify();
+  if (std::getenv("CHIARO_TEST_VERBOSE")) std::printf("noise %g %g saturated %llu notes %zu %s\n", result.noise.gain, result.noise.read_sigma, static_cast<unsigned long long>(result.pixels_saturated), result.notes.size(), result.notes.empty() ? "" : result.notes[0].c_str());
+}
+
+}  // namespace
+}  // namespace chiaro::stream
