@@ -89,20 +89,29 @@ std::optional<NoiseModel> NoiseEstimator::fit() const {
   std::vector<Block> sorted = blocks_;
   std::sort(sorted.begin(), sorted.end(), [](const Block& a, const Block& b) { return a.mean != b.mean ? a.mean < b.mean : a.variance < b.variance; });
   const std::size_t num_bins = std::clamp<std::size_t>(sorted.size() / kMinPerBin, 1, kMaxBins);
-  std::vector<Bin> bins;
-  for (std::size_t i = 0; i < num_bins; ++i) {
-    const std::size_t begin = i * sorted.size() / num_bins, end = (i + 1) * sorted.size() / num_bins;
-    std::vector<float> variances;
-    double value = 0;
-    for (std::size_t k = begin; k < end; ++k) {
-      variances.push_back(sorted[k].variance);
-      value += std::max(sorted[k].mean, 0.0f);
+  NoiseModel model{0, 1, true};
+  // Inside a bin variances are compared as multiples of the last fit: else the quantile would favour the bin's darkest blocks.
+  for (int round = 0; round < 4; ++round) {
+    const double least = 1e-9 * std::max(model.variance(static_cast<double>(sorted.back().mean)), 1e-30);
+    const auto expected = [&](double z) { return std::max(model.variance(z), least); };
+    std::vector<Bin> bins;
+    for (std::size_t i = 0; i < num_bins; ++i) {
+      const std::size_t begin = i * sorted.size() / num_bins, end = (i + 1) * sorted.size() / num_bins;
+      std::vector<double> ratios;
+      double value = 0;
+      for (std::size_t k = begin; k < end; ++k) {
+        const double z = std::max(static_cast<double>(sorted[k].mean), 0.0);
+        ratios.push_back(static_cast<double>(sorted[k].variance) / expected(z));
+        value += z;
+      }
+      value /= static_cast<double>(end - begin);
+      const auto at = ratios.begin() + static_cast<std::ptrdiff_t>(kQuantile * static_cast<double>(ratios.size()));
+      std::nth_element(ratios.begin(), at, ratios.end());
+      bins.push_back({value, *at / kQuantileOfWhiteNoise * expected(value)});
     }
-    const auto at = variances.begin() + static_cast<std::ptrdiff_t>(kQuantile * static_cast<double>(variances.size()));
-    std::nth_element(variances.begin(), at, variances.end());
-    bins.push_back({value / static_cast<double>(end - begin), static_cast<double>(*at) / kQuantileOfWhiteNoise});
+    model = fit_line(bins);
   }
-  return fit_line(bins);
+  return model;
 }
 
 }  // namespace chiaro::stream

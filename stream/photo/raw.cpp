@@ -106,6 +106,19 @@ struct RawSource::Impl {
     if (std::abs(s.pixel_aspect - 1) > 1e-3) info.notes.push_back(concat("its pixels are not square (", s.pixel_aspect, "); they stay as stored"));
   }
 
+  /// Decoders of several formats leave zeros, silently, where a file ends early. Above a black level of some height a sensor gives no zeros.
+  void check_presence() const {
+    std::uint64_t zeros = 0;
+    const std::uint64_t total = static_cast<std::uint64_t>(info.sensor_width_px) * static_cast<std::uint64_t>(info.sensor_height_px);
+    for (int y = 0; y < info.sensor_height_px; ++y) {
+      const std::uint16_t* row = first + static_cast<std::size_t>(y) * pitch;
+      zeros += static_cast<std::uint64_t>(std::count(row, row + info.sensor_width_px, std::uint16_t{0}));
+    }
+    constexpr double kClearBlack = 32, kTooMany = 0.01;
+    if (zeros == total || (info.black > kClearBlack && static_cast<double>(zeros) > kTooMany * static_cast<double>(total)))
+      fail(zeros, " of ", total, " raw values are zero: pixel data is missing");
+  }
+
   /// Black = common level + level of the mosaic colour + a repeating pattern, all in visible coordinates.
   void read_levels() {
     const libraw_colordata_t& color = raw->imgdata.color;
@@ -124,6 +137,7 @@ struct RawSource::Impl {
       }
     info.black = sum / static_cast<double>(black.size());
     info.white = color.maximum;
+    check_presence();
     for (const float level : black)
       if (!(info.white > static_cast<double>(level))) fail("white level ", info.white, " is not above black level ", level);
   }
