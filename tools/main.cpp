@@ -17,9 +17,12 @@ using chiaro::tools::Command;
 
 // In the order of `chiaro --help`.
 const Command kCommands[] = {
-#ifdef CHIARO_COMPARE
-    {"compare", "two pictures or two coloured clouds: how alike they are", chiaro::tools::run_compare},
-#endif
+    {"run", "the whole way: cloud and flash photographs in, albedo per point out", chiaro::tools::run_run},
+    {"ingest", "point files to a store", chiaro::tools::run_ingest},
+    {"info", "what a store holds", chiaro::tools::run_info},
+    {"verify", "checks every byte of a store", chiaro::tools::run_verify},
+    {"export", "a layer of a store to a point file", chiaro::tools::run_export},
+    {"compare", "two pictures, or the colours of two clouds: how alike they are", chiaro::tools::run_compare},
 };
 
 int terminal_columns() {

@@ -406,16 +406,6 @@ std::vector<float> luminance(const PixelView& rgb) {
   return y;
 }
 
-float srgb_from_linear(float linear) {
-  const float size = std::abs(linear);
-  return std::copysign(size <= 0.0031308f ? 12.92f * size : 1.055f * std::pow(size, 1 / 2.4f) - 0.055f, linear);
-}
-
-float linear_from_srgb(float encoded) {
-  const float size = std::abs(encoded);
-  return std::copysign(size <= 0.04045f ? size / 12.92f : std::pow((size + 0.055f) / 1.055f, 2.4f), encoded);
-}
-
 std::array<double, 3> lab_from_linear(const std::array<double, 3>& rgb) {
   const Triple v = relative_xyz(rgb);
   const double x = lab_curve(v[0]), y = lab_curve(v[1]), z = lab_curve(v[2]);

@@ -55,10 +55,6 @@ FlipResult flip(const PixelView& test, const PixelView& reference, MaskView mask
 /// Rec. 709 luminance of linear RGB: one value a pixel. 3 channels.
 std::vector<float> luminance(const PixelView& rgb);
 
-/// IEC 61966-2-1, extended to values outside 0..1 (odd below 0, the power law above 1).
-float srgb_from_linear(float linear);
-float linear_from_srgb(float encoded);
-
 /// CIE L*a*b* (D65 white) of linear RGB with sRGB primaries.
 std::array<double, 3> lab_from_linear(const std::array<double, 3>& rgb);
 

@@ -8,6 +8,7 @@
 
 #include "stream/base/parallel.h"
 #include "stream/base/rng.h"
+#include "stream/photo/image_io.h"
 
 namespace chiaro::tools {
 namespace {
@@ -30,7 +31,7 @@ Picture make(int width, int height, const std::function<double(double, double, d
 }
 
 Picture as_linear(Picture srgb) {
-  for (float& v : srgb.values) v = linear_from_srgb(v);
+  for (float& v : srgb.values) v = static_cast<float>(stream::linear_from_srgb(v));
   return srgb;
 }
 
@@ -194,12 +195,6 @@ TEST(Metrics, AreTheSameBitsForAnyThreadCount) {
     return std::array{mse(a.view(), b.view()), ssim(a.view(), b.view()), flip(a.view(), b.view()).mean, relative_error(a.view(), b.view()), mean_delta_e_2000(a.view(), b.view())};
   };
   EXPECT_EQ(all(1), all(8));
-}
-
-TEST(Srgb, GoesThereAndBack) {
-  EXPECT_NEAR(linear_from_srgb(0.5f), 0.21404114f, 1e-7f);
-  EXPECT_NEAR(srgb_from_linear(0.21404114f), 0.5f, 1e-6f);
-  for (float v = -1.5f; v < 3; v += 0.01f) EXPECT_NEAR(linear_from_srgb(srgb_from_linear(v)), v, 4e-6f) << v;
 }
 
 TEST(Lab, GivesWhiteAndTheKnownRed) {

@@ -1,0 +1,162 @@
+/// The executable itself, once per command: what only a process can show.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <csignal>
+#include <cstdio>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "stream/base/file.h"
+#include "stream/photo/image_io.h"
+
+namespace chiaro::tools {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+
+struct Ran {
+  int code = -1;
+  std::string out, err;
+};
+
+class ExecutableTest : public testing::Test {
+ protected:
+  /// Runs `chiaro WORDS` in the scratch folder.
+  Ran run(const std::string& words) {
+    const std::string folder = scratch_.path().string();
+    const std::string line = "cd '" + folder + "' && '" CHIARO_EXECUTABLE "' " + words + " >out.txt 2>err.txt </dev/null";
+    const int status = std::system(line.c_str());
+    Ran ran;
+    ran.code = WIFEXITED(status) ? WEXITSTATUS(status) : 1000 + status;
+    ran.out = read_text(scratch_.path() / "out.txt");
+    ran.err = read_text(scratch_.path() / "err.txt");
+    return ran;
+  }
+  void write(const std::string& name, const std::string& text) { std::ofstream(scratch_.path() / name, std::ios::binary) << text; }
+  std::string cloud(int points) {
+    std::string text = "ply\nformat ascii 1.0\nelement vertex " + std::to_string(points) +
+                       "\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n";
+    for (int i = 0; i < points; ++i) text += std::to_string(i % 50) + " " + std::to_string(i / 50) + " 0 " + std::to_string(i % 256) + " 10 20\n";
+    return text;
+  }
+  ScratchFolder scratch_;
+};
+
+class EveryCommand : public ExecutableTest, public testing::WithParamInterface<const char*> {};
+
+TEST_P(EveryCommand, ExplainsItself) {
+  const std::string name = GetParam();
+  const Ran ran = run(name + " --help");
+  EXPECT_EQ(ran.code, 0);
+  EXPECT_THAT(ran.out, HasSubstr("chiaro " + name));
+  EXPECT_THAT(ran.out, HasSubstr("--json"));
+  EXPECT_EQ(ran.err, "");
+  EXPECT_EQ(run("help " + name).out, ran.out);
+}
+
+TEST_P(EveryCommand, RefusesUnknownOptions) {
+  const Ran ran = run(std::string(GetParam()) + " --jsno");
+  EXPECT_EQ(ran.code, 2);
+  EXPECT_THAT(ran.err, HasSubstr("unknown option \"--jsno\"; did you mean \"--json\"?"));
+  EXPECT_EQ(ran.out, "");
+}
+
+TEST_P(EveryCommand, NeedsItsWords) {
+  const Ran ran = run(GetParam());
+  EXPECT_EQ(ran.code, 2);
+  EXPECT_THAT(ran.err, testing::StartsWith("error: chiaro "));
+}
+
+INSTANTIATE_TEST_SUITE_P(Commands, EveryCommand, testing::Values("ingest", "info", "verify", "export", "compare"), [](const auto& i) { return std::string(i.param); });
+
+TEST_F(ExecutableTest, ListsItsCommandsAndSuggests) {
+  EXPECT_EQ(run("").code, 2);
+  const Ran help = run("--help");
+  EXPECT_EQ(help.code, 0);
+  for (const char* name : {"ingest", "info", "verify", "export", "compare"}) EXPECT_THAT(help.out, HasSubstr(name));
+  const Ran typo = run("comprae a b");
+  EXPECT_EQ(typo.code, 2);
+  EXPECT_EQ(typo.err, "error: unknown command \"comprae\"; did you mean \"compare\"?\n");
+  EXPECT_THAT(run("--version").out, testing::MatchesRegex("chiaro [0-9.]+\n"));
+}
+
+TEST_F(ExecutableTest, ExitsWithOneForBadFiles) {
+  write("bad.ply", "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nend_header\n");
+  write("bad.png", "no picture");
+  for (const char* words : {"ingest absent.ply --out s.chiaro", "ingest bad.ply --out s.chiaro", "info absent.chiaro", "verify absent.chiaro", "export absent.chiaro --out a.ply",
+                            "compare bad.png bad.png", "compare absent.exr absent.exr", "compare bad.ply bad.ply", "compare absent.chiaro:a absent.chiaro:b"}) {
+    const Ran ran = run(words);
+    EXPECT_EQ(ran.code, 1) << words;
+    EXPECT_THAT(ran.err, HasSubstr("error: ")) << words;
+  }
+  EXPECT_FALSE(fs::exists(scratch_.path() / "s.chiaro"));
+  const Ran json = run("compare bad.png bad.png --json");
+  EXPECT_EQ(nlohmann::json::parse(json.out)["event"], "error");
+}
+
+TEST_F(ExecutableTest, ComparesPictures) {
+  stream::write_exr(scratch_.path() / "a.exr", 20, 16, {"R", "G", "B"}, std::vector<float>(960, 0.6f), false);
+  stream::write_exr(scratch_.path() / "b.exr", 20, 16, {"R", "G", "B"}, std::vector<float>(960, 0.5f), false);
+  stream::write_exr(scratch_.path() / "small.exr", 2, 2, {"R", "G", "B"}, std::vector<float>(12, 0.5f), false);
+  const Ran table = run("compare a.exr b.exr");
+  EXPECT_EQ(table.code, 0);
+  EXPECT_THAT(table.out, HasSubstr("psnr"));
+  EXPECT_THAT(table.out, HasSubstr("20"));
+  const Ran json = run("compare a.exr b.exr --json");
+  const auto result = nlohmann::json::parse(json.out);
+  EXPECT_NEAR(result["psnr"].get<double>(), 20, 1e-4);
+  for (const char* key : {"ssim", "flip", "mse", "relative_error"}) EXPECT_TRUE(result[key].is_number()) << key;
+  EXPECT_EQ(run("compare a.exr small.exr").code, 1);
+  EXPECT_EQ(run("compare a.exr b.ply").code, 2);
+  EXPECT_EQ(run("compare a.exr b.exr --out d.ply").code, 2);
+}
+
+TEST_F(ExecutableTest, MakesDescribesVerifiesAndExportsAStore) {
+  write("cloud.ply", cloud(2000));
+  const Ran made = run("ingest 'cl*.ply' --out s.chiaro --threads 2 --memory 512MiB");
+  ASSERT_EQ(made.code, 0) << made.err;
+  EXPECT_THAT(made.out, HasSubstr("2 000"));
+  EXPECT_THAT(run("ingest cloud.ply --out s.chiaro").out, HasSubstr("up to date"));
+  const auto info = nlohmann::json::parse(run("info s.chiaro --json").out);
+  EXPECT_EQ(info["points_stored"], 2000);
+  EXPECT_EQ(info["layers"][0]["name"], "input");
+  EXPECT_THAT(run("info s.chiaro").out, HasSubstr("2 000 of 2 000 read"));
+  EXPECT_EQ(run("verify s.chiaro").code, 0);
+  ASSERT_EQ(run("export s.chiaro --out back.ply").code, 0);
+  const auto same = nlohmann::json::parse(run("compare back.ply cloud.ply --json").out);
+  EXPECT_EQ(same["values"], "colour");
+  EXPECT_EQ(same["points"], 2000);
+  EXPECT_EQ(same["difference"]["max"], 0.0);
+  EXPECT_THAT(run("export s.chiaro --layer inptu --out x.ply").err, HasSubstr("did you mean \"input\"?"));
+  // One flipped byte anywhere in the geometry is found.
+  std::string bytes = read_text(scratch_.path() / "s.chiaro/geometry.bin");
+  bytes[100] = static_cast<char>(bytes[100] ^ 4);
+  write("s.chiaro/geometry.bin", bytes);
+  const Ran broken = run("verify s.chiaro");
+  EXPECT_EQ(broken.code, 1);
+  EXPECT_THAT(broken.err, HasSubstr("problem"));
+}
+
+TEST_F(ExecutableTest, LeavesAFolderAloneThatIsNoStore) {
+  write("cloud.ply", cloud(100));
+  fs::create_directory(scratch_.path() / "photos");
+  write("photos/precious.txt", "x");
+  EXPECT_EQ(run("ingest cloud.ply --out photos").code, 1);
+  EXPECT_TRUE(fs::exists(scratch_.path() / "photos/precious.txt"));
+}
+
+TEST_F(ExecutableTest, CountsRejectedPointsAndSaysThree) {
+  std::string text = cloud(100);
+  text.replace(text.find("\n7 0 0 "), 7, "\nnan 0 0 ");
+  write("cloud.ply", text);
+  const Ran ran = run("ingest cloud.ply --out s.chiaro --json");
+  EXPECT_EQ(ran.code, 3) << ran.err;
+  const std::string last = ran.out.substr(ran.out.rfind("{\"event\":\"result\""));
+  EXPECT_EQ(nlohmann::json::parse(last)["points_stored"], 99);
+}
+
+}  // namespace
+}  // namespace chiaro::tools
