@@ -2,11 +2,14 @@
 /// then normals and radii with a halo, then the inner levels. Memory as the budget says, whatever the number of points.
 #pragma once
 #include <filesystem>
+#include <functional>
+#include <memory>
 #include <string>
 #include <vector>
 
 #include "stream/base/budget.h"
 #include "stream/base/report.h"
+#include "stream/cloud/point_stream.h"
 #include "stream/store/store.h"
 
 namespace chiaro::stream {
@@ -26,6 +29,20 @@ struct BuildOptions {
 /// throws Error (unreadable input, no space, no usable point), Cancelled.
 Manifest build_store(const std::vector<std::filesystem::path>& files, const std::filesystem::path& out, const BuildOptions& options,
                      MemoryBudget& budget, Reporter& report);
+
+/// Clouds that do not come straight from files: moved, filtered, generated. build_store() is this with open_points().
+struct CloudInput {
+  std::vector<std::filesystem::path> files;           ///< names for the manifest, one a cloud
+  std::vector<std::string> fingerprints;              ///< one a cloud: must change whenever what `open` gives changes
+  /// Opens cloud i from its beginning; called twice, the same points each time.
+  std::function<std::unique_ptr<PointReader>(std::size_t cloud)> open;
+  /// Optional: is the point of this running number (over all clouds, rejected ones included) left out? Counted under `rejected_reason`.
+  std::function<bool(std::uint64_t running_number)> rejected;
+  std::string rejected_reason = "outlier";
+  std::string filter_key;                             ///< identity of `rejected`, part of the key
+};
+Manifest build_store_from(const CloudInput& input, const std::filesystem::path& out, const BuildOptions& options, MemoryBudget& budget, Reporter& report);
+std::string build_key(const CloudInput& input, const BuildOptions& options);
 
 /// The key that build_store would record: hash of the files' fingerprints and the options.
 std::string build_key(const std::vector<std::filesystem::path>& files, const BuildOptions& options);

@@ -1,0 +1,293 @@
+#include "stream/store/inner_levels.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+
+#include "stream/base/error.h"
+#include "stream/base/hash.h"
+#include "stream/base/parallel.h"
+#include "stream/store/morton.h"
+#include "stream/store/store_format.h"
+
+namespace chiaro::stream {
+namespace {
+
+constexpr double kShare = 0.3;                     // of the children's surfels that a node keeps at most
+constexpr std::size_t kMostMembers = 65536;        // of one voxel that are looked at one by one
+
+std::uint64_t code_in_parent(const ChunkEntry& child, const SurfelBlock& b, std::size_t lane) {
+  return (child.morton & 7) << 48 | morton_encode(b.x[lane], b.y[lane], b.z[lane]);
+}
+
+struct Member {
+  Vec3d position;  ///< in units of the parent's step, from its lower corner
+  Vec3f normal;
+  float radius;
+  std::uint8_t flags;
+};
+
+struct InnerNode {
+  ChunkEntry entry;
+  std::vector<SurfelBlock> blocks;
+  std::vector<float> radii;
+};
+
+class NodeBuilder {
+ public:
+  NodeBuilder(const File& geometry, const Manifest& manifest, const std::vector<ChunkEntry>& entries, const ChunkEntry& node, std::uint32_t chunk_surfels)
+      : geometry_(geometry), manifest_(manifest), entries_(entries), most_(chunk_surfels) {
+    out_.entry = node;
+    frame_ = frame_of(manifest, node);
+  }
+
+  InnerNode run() {
+    const int bits = choose_voxel_bits();
+    out_.entry.source_offset = static_cast<std::uint64_t>(bits);
+    voxel_bits_ = bits;
+    VoxelCursor cursor(bits);
+    for_each_child([&](const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
+      std::vector<std::uint32_t> group;
+      cursor.next_child(child, blocks, group);
+      add_members(child, blocks, group);
+    });
+    finish_group();
+    seal();
+    return std::move(out_);
+  }
+
+ private:
+  template <class F>
+  void for_each_child(const F& body) const {
+    for (std::uint32_t c = 0; c < out_.entry.num_children; ++c) {
+      const ChunkEntry& child = entries_[out_.entry.first_child + c];
+      std::vector<SurfelBlock> blocks((child.count + 15) / 16);
+      geometry_.read_at(child.offset, blocks.data(), geometry_bytes(child.count));
+      body(child, blocks);
+    }
+  }
+
+  int choose_voxel_bits() const {
+    std::array<std::uint64_t, 18> first_differs{};  // how many neighbours part at this depth
+    std::uint64_t total = 0, last = 0;
+    for_each_child([&](const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
+      for (std::uint32_t slot = 0; slot < child.count; ++slot) {
+        const std::uint64_t code = code_in_parent(child, blocks[slot / 16], slot % 16);
+        if (total > 0 && code != last) ++first_differs[static_cast<std::size_t>(17 - (63 - std::countl_zero(code ^ last)) / 3)];
+        last = code;
+        ++total;
+      }
+    });
+    const auto limit = std::min<std::uint64_t>(most_, static_cast<std::uint64_t>(kShare * static_cast<double>(total)));
+    int bits = 0;
+    std::uint64_t voxels = 1;
+    while (bits < kLocalBits && voxels + first_differs[static_cast<std::size_t>(bits + 1)] <= limit) voxels += first_differs[static_cast<std::size_t>(++bits)];
+    return bits;
+  }
+
+  void add_members(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, const std::vector<std::uint32_t>& group) {
+    const Vec3d octant(65536.0 * static_cast<double>(child.morton & 1), 65536.0 * static_cast<double>(child.morton >> 1 & 1), 65536.0 * static_cast<double>(child.morton >> 2 & 1));
+    for (std::uint32_t slot = 0; slot < child.count; ++slot) {
+      if (group[slot] != group_) {
+        finish_group();
+        group_ = group[slot];
+      }
+      const SurfelBlock& b = blocks[slot / 16];
+      const std::size_t lane = slot % 16;
+      if (num_members_ == 0) voxel_ = code_in_parent(child, b, lane) >> (3 * (17 - voxel_bits_));
+      Member m{(octant + Vec3d(b.x[lane] + 0.5, b.y[lane] + 0.5, b.z[lane] + 0.5)) / 2, decode_normal(b.normal_u[lane], b.normal_v[lane]),
+               decode_radius(b.log_radius[lane], child.radius_max), b.flags[lane]};
+      add(m);
+    }
+  }
+
+  void add(const Member& m) {
+    ++num_members_;
+    position_sum_ += m.position;
+    largest_radius_ = std::max(largest_radius_, m.radius);
+    any_flags_ = static_cast<std::uint8_t>(any_flags_ | m.flags);
+    all_flags_ = static_cast<std::uint8_t>(all_flags_ & m.flags);
+    // A sign that is not known follows the members before.
+    const bool turn = !(m.flags & SurfelBlock::kOriented) && normal_sum_.dot(m.normal.cast<double>()) < 0;
+    normal_sum_ += (turn ? -1.0 : 1.0) * m.normal.cast<double>();
+    if (members_.size() < kMostMembers) members_.push_back(m);
+  }
+
+  void finish_group() {
+    if (num_members_ == 0) return;
+    const auto slot = static_cast<std::uint32_t>(out_.radii.size());
+    if (slot % 16 == 0) out_.blocks.emplace_back();
+    SurfelBlock& b = out_.blocks.back();
+    const std::size_t lane = slot % 16;
+    const Vec3d mean = position_sum_ / static_cast<double>(num_members_);
+    const auto voxel = morton_decode(voxel_);
+    Vec3d stored;
+    std::array<std::uint16_t, 3> q;
+    for (std::size_t a = 0; a < 3; ++a) {
+      const int shift = kLocalBits - voxel_bits_;
+      const std::uint32_t low = voxel[a] << shift, high = low + ((1u << shift) - 1);
+      q[a] = static_cast<std::uint16_t>(std::clamp(static_cast<std::uint32_t>(mean[static_cast<int>(a)]), low, high));
+      stored[static_cast<int>(a)] = q[a] + 0.5;
+    }
+    b.x[lane] = q[0];
+    b.y[lane] = q[1];
+    b.z[lane] = q[2];
+    const double length = normal_sum_.norm();
+    const Vec3f normal = length > 1e-3 ? Vec3f((normal_sum_ / length).cast<float>()) : members_[0].normal;
+    const auto code = encode_normal(normal);
+    b.normal_u[lane] = code[0];
+    b.normal_v[lane] = code[1];
+    constexpr std::uint8_t kAll = SurfelBlock::kOriented | SurfelBlock::kIsolated;
+    b.flags[lane] = static_cast<std::uint8_t>((any_flags_ & SurfelBlock::kEstimated) | (all_flags_ & kAll));
+    out_.radii.push_back(covering_radius(stored, normal));
+    position_sum_ = Vec3d::Zero();
+    normal_sum_ = Vec3d::Zero();
+    num_members_ = 0;
+    largest_radius_ = 0;
+    any_flags_ = 0;
+    all_flags_ = 0xff;
+    members_.clear();
+  }
+
+  // Reaches over every member's disc, but never further than across the voxel (or the largest member itself).
+  float covering_radius(const Vec3d& stored, const Vec3f& normal) const {
+    const double diagonal = std::sqrt(3.0) * std::ldexp(65536 * frame_.step, -voxel_bits_);
+    const double most = std::max<double>(diagonal, largest_radius_);
+    if (num_members_ > members_.size()) return static_cast<float>(most);
+    double radius = 0;
+    for (const Member& m : members_) {
+      const Vec3d offset = frame_.step * (m.position - stored);
+      const Vec3d in_plane = offset - normal.cast<double>() * normal.cast<double>().dot(offset);
+      radius = std::max(radius, in_plane.norm() + m.radius);
+    }
+    return static_cast<float>(std::min(radius, most));
+  }
+
+  void seal() {
+    ChunkEntry& e = out_.entry;
+    e.count = static_cast<std::uint32_t>(out_.radii.size());
+    e.radius_max = *std::max_element(out_.radii.begin(), out_.radii.end());
+    e.spacing = static_cast<float>(std::ldexp(65536 * frame_.step, -voxel_bits_));
+    e.tight_min = {65535, 65535, 65535};
+    e.tight_max = {0, 0, 0};
+    for (std::uint32_t slot = 0; slot < out_.blocks.size() * 16; ++slot) {
+      SurfelBlock& b = out_.blocks[slot / 16];
+      const std::size_t lane = slot % 16;
+      if (slot >= e.count) {
+        const std::size_t last = (e.count - 1) % 16;
+        b.x[lane] = b.x[last];
+        b.y[lane] = b.y[last];
+        b.z[lane] = b.z[last];
+        b.normal_u[lane] = b.normal_u[last];
+        b.normal_v[lane] = b.normal_v[last];
+        b.log_radius[lane] = 0;
+        b.flags[lane] = SurfelBlock::kPadding;
+        continue;
+      }
+      b.log_radius[lane] = encode_radius(out_.radii[slot], e.radius_max);
+      const std::array<std::uint16_t, 3> q{b.x[lane], b.y[lane], b.z[lane]};
+      for (std::size_t a = 0; a < 3; ++a) {
+        e.tight_min[a] = std::min(e.tight_min[a], q[a]);
+        e.tight_max[a] = std::max(e.tight_max[a], q[a]);
+      }
+    }
+    e.geometry_crc = crc32c(out_.blocks.data(), geometry_bytes(e.count));
+  }
+
+  const File& geometry_;
+  const Manifest& manifest_;
+  const std::vector<ChunkEntry>& entries_;
+  std::uint32_t most_;
+  InnerNode out_;
+  ChunkFrame frame_;
+  int voxel_bits_ = 0;
+  std::uint32_t group_ = 0;
+  std::uint64_t voxel_ = 0, num_members_ = 0;
+  Vec3d position_sum_ = Vec3d::Zero(), normal_sum_ = Vec3d::Zero();
+  float largest_radius_ = 0;
+  std::uint8_t any_flags_ = 0, all_flags_ = 0xff;
+  std::vector<Member> members_;
+};
+
+}  // namespace
+
+void VoxelCursor::next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::vector<std::uint32_t>& group) {
+  group.resize(child.count);
+  for (std::uint32_t slot = 0; slot < child.count; ++slot) {
+    const std::uint64_t voxel = code_in_parent(child, blocks[slot / 16], slot % 16) >> shift_;
+    if (started_ && voxel != voxel_) ++group_;
+    started_ = true;
+    voxel_ = voxel;
+    group[slot] = group_;
+  }
+}
+
+std::uint64_t build_inner_levels(File& geometry, std::uint64_t geometry_end, const Manifest& manifest, std::vector<ChunkEntry>& entries, std::uint32_t chunk_surfels,
+                                 MemoryBudget& budget, Reporter& report) {
+  std::uint64_t num_inner = 0;
+  for (const ChunkEntry& e : entries) num_inner += !e.is_leaf();
+  report.begin("inner levels", num_inner, "chunks");
+  std::uint64_t done = 0;
+  const std::uint64_t per_node = 28ull * chunk_surfels + kMostMembers * sizeof(Member) / 8;
+  const auto workers = static_cast<std::size_t>(std::clamp<std::uint64_t>(budget.free_bytes() / 2 / per_node, 1, static_cast<std::uint64_t>(std::clamp(ThreadLimit::current(), 1, 64))));
+  const std::size_t wave = 2 * workers;
+  const BudgetLease lease(budget, per_node * workers + 16ull * chunk_surfels * wave, "inner levels");
+  // Deeper levels stand behind in the index; a level is finished before the one above reads it.
+  for (std::size_t end = entries.size(); end > 0;) {
+    std::size_t begin = end;
+    while (begin > 0 && entries[begin - 1].level == entries[end - 1].level) --begin;
+    std::vector<std::size_t> nodes;
+    for (std::size_t i = begin; i < end; ++i)
+      if (!entries[i].is_leaf()) nodes.push_back(i);
+    for (std::size_t first = 0; first < nodes.size(); first += wave) {
+      const std::size_t n = std::min(wave, nodes.size() - first);
+      std::vector<InnerNode> made(n);
+      report.check();
+      parallel_blocks(n, 1, [&](std::size_t i, std::size_t) { made[i] = NodeBuilder(geometry, manifest, entries, entries[nodes[first + i]], chunk_surfels).run(); });
+      for (std::size_t i = 0; i < n; ++i) {
+        InnerNode& node = made[i];
+        node.entry.offset = geometry_end;
+        geometry.write_at(geometry_end, node.blocks.data(), geometry_bytes(node.entry.count));
+        geometry_end += (geometry_bytes(node.entry.count) + kChunkAlignment - 1) / kChunkAlignment * kChunkAlignment;
+        entries[nodes[first + i]] = node.entry;
+      }
+      report.progress(done += n);
+    }
+    end = begin;
+  }
+  report.end();
+  return geometry_end;
+}
+
+std::vector<ChunkEntry> link_index(const std::vector<ChunkEntry>& leaves) {
+  std::vector<std::vector<ChunkEntry>> levels(kMaxLevel + 1);
+  for (const ChunkEntry& leaf : leaves) levels[leaf.level].push_back(leaf);
+  for (int level = kMaxLevel; level > 0; --level) {
+    std::vector<ChunkEntry>& here = levels[static_cast<std::size_t>(level)];
+    std::vector<ChunkEntry>& above = levels[static_cast<std::size_t>(level - 1)];
+    std::vector<ChunkEntry> parents;
+    for (const ChunkEntry& e : here) {
+      if (parents.empty() || parents.back().morton != e.morton >> 3) {
+        parents.emplace_back();
+        parents.back().morton = e.morton >> 3;
+        parents.back().level = static_cast<std::uint8_t>(level - 1);
+      }
+      ++parents.back().num_children;
+    }
+    above.insert(above.end(), parents.begin(), parents.end());
+    std::sort(above.begin(), above.end(), [](const ChunkEntry& a, const ChunkEntry& b) { return a.morton != b.morton ? a.morton < b.morton : a.part < b.part; });
+  }
+  std::vector<ChunkEntry> entries;
+  for (auto& level : levels) entries.insert(entries.end(), level.begin(), level.end());
+  std::uint32_t next = 1;
+  for (std::uint32_t i = 0; i < entries.size(); ++i) {
+    ChunkEntry& e = entries[i];
+    if (e.is_leaf()) continue;
+    e.first_child = next;
+    for (std::uint32_t c = 0; c < e.num_children; ++c) entries[next + c].parent = i;
+    next += e.num_children;
+  }
+  return entries;
+}
+
+}  // namespace chiaro::stream

@@ -1,0 +1,39 @@
+/// Which surfels of its children an inner surfel replaces, and the inner levels made by that rule.
+///
+/// The cell of an inner node is cut into 2^g voxels an axis. A child's surfel belongs to the voxel that its stored position falls into: its Morton
+/// code in the parent, 17 bits an axis (the child's octant and its 16 stored bits), shortened to g bits. Surfels of a chunk are in the order of that code, and
+/// children are in Morton order, so the members of a voxel follow each other; voxels in that order are the surfels of the node.
+#pragma once
+#include <vector>
+
+#include "stream/base/budget.h"
+#include "stream/base/file.h"
+#include "stream/base/report.h"
+#include "stream/store/store.h"
+
+namespace chiaro::stream {
+
+/// Numbers the surfels of a node's children by the inner surfel that replaces them; children are passed one after the other.
+class VoxelCursor {
+ public:
+  explicit VoxelCursor(int voxel_bits) : shift_(3 * (17 - voxel_bits)) {}
+  /// Number of the parent's surfel for each slot of the next child.
+  void next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::vector<std::uint32_t>& group);
+  std::uint32_t num_groups() const { return started_ ? group_ + 1 : 0; }
+
+ private:
+  int shift_;
+  bool started_ = false;
+  std::uint32_t group_ = 0;
+  std::uint64_t voxel_ = 0;
+};
+
+/// Fills all inner entries (count, bounds, radius, spacing, CRC; source_offset = g) from the deepest level up and appends their blocks at
+/// `geometry_end`. g is the largest that leaves at most 30 % of the children's surfels and at most chunk_surfels. Returns the new end.
+std::uint64_t build_inner_levels(File& geometry, std::uint64_t geometry_end, const Manifest& manifest, std::vector<ChunkEntry>& entries, std::uint32_t chunk_surfels,
+                                 MemoryBudget& budget, Reporter& report);
+
+/// The index of a tree from its leaves (Morton order, parts in order): entries of all levels, sorted and linked.
+std::vector<ChunkEntry> link_index(const std::vector<ChunkEntry>& leaves);
+
+}  // namespace chiaro::stream

@@ -1,0 +1,152 @@
+#include "stream/store/leaf_fit.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+
+#include "stream/base/hash.h"
+#include "stream/base/parallel.h"
+#include "stream/store/store_format.h"
+#include "stream/store/surfel_fit.h"
+
+namespace chiaro::stream {
+namespace {
+
+// What is further than this many typical spacings is no neighbour, so that outliers stay alone.
+constexpr double kReachSpacings = 256;
+// Radii need the ring of nearest neighbours only: some 25 points on a surface.
+constexpr double kRadiusSpacings = 2.8;
+
+std::vector<SurfelBlock> read_blocks(const FitJob& job, std::uint32_t chunk) {
+  const ChunkEntry& e = job.entries[chunk];
+  std::vector<SurfelBlock> blocks((e.count + 15) / 16);
+  job.geometry.read_at(e.offset, blocks.data(), geometry_bytes(e.count));
+  return blocks;
+}
+
+bool meet(const Box3d& a, const Box3d& b) { return (a.min.array() <= b.max.array()).all() && (b.min.array() <= a.max.array()).all(); }
+
+// Leaves whose tight bounds meet the box, by descent from the root.
+std::vector<std::pair<std::uint32_t, Box3d>> find_leaves(const FitJob& job, const Box3d& box) {
+  std::vector<std::pair<std::uint32_t, Box3d>> found;
+  std::vector<std::uint32_t> stack{0};
+  while (!stack.empty()) {
+    const std::uint32_t i = stack.back();
+    stack.pop_back();
+    const ChunkEntry& e = job.entries[i];
+    const ChunkFrame frame = frame_of(job.manifest, e);
+    Box3d bounds;
+    if (e.is_leaf()) {
+      bounds = tight_box(frame, e);
+    } else {
+      bounds.min = frame.origin_in_world;
+      bounds.max = frame.origin_in_world + Vec3d::Constant(65536 * frame.step);
+    }
+    if (!meet(bounds, box)) continue;
+    if (e.is_leaf()) found.emplace_back(i, bounds);
+    for (std::uint32_t c = 0; c < e.num_children; ++c) stack.push_back(e.first_child + c);
+  }
+  std::sort(found.begin(), found.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  return found;
+}
+
+// Calls body(chunk, neighbourhood) for the leaves, by workers that take them in Morton order so that they share the cache.
+template <class F>
+void for_each_leaf(const FitJob& job, const char* stage, MemoryBudget& budget, Reporter& report, const F& body) {
+  std::uint64_t points = 0, largest = 1;
+  for (const std::uint32_t i : job.leaves) {
+    points += job.entries[i].count;
+    largest = std::max<std::uint64_t>(largest, job.entries[i].count);
+  }
+  // A worker holds its chunk twice, a neighbour, and lists of candidates.
+  const std::uint64_t per_worker = largest * 16 + (2 << 20);
+  const std::uint64_t pinned = 3 * HaloChunk::bytes_for(static_cast<std::uint32_t>(largest));
+  const auto workers = static_cast<std::size_t>(std::clamp<std::uint64_t>(budget.free_bytes() / (per_worker + pinned), 1, static_cast<std::uint64_t>(std::clamp(ThreadLimit::current(), 1, 64))));
+  const BudgetLease lease(budget, per_worker * workers, "fitting of surfels");
+  HaloCache cache(
+      budget, [&](std::uint32_t i) { return make_halo_chunk(i, frame_of(job.manifest, job.entries[i]), read_blocks(job, i), job.entries[i].count); },
+      [&](std::uint32_t i) { return HaloChunk::bytes_for(job.entries[i].count); });
+  const Neighbourhood::Find find = [&](const Box3d& box) { return find_leaves(job, box); };
+  report.begin(stage, points, "points");
+  std::atomic<std::size_t> next{0};
+  std::atomic<std::uint64_t> done{0};
+  parallel_blocks(workers, 1, [&](std::size_t, std::size_t) {
+    for (std::size_t at = next++; at < job.leaves.size(); at = next++) {
+      report.check();
+      const std::uint32_t chunk = job.leaves[at];
+      Neighbourhood around(cache.get(chunk), tight_box(frame_of(job.manifest, job.entries[chunk]), job.entries[chunk]), find, cache);
+      body(chunk, around);
+      report.progress(done += job.entries[chunk].count);
+    }
+  });
+  report.end();
+}
+
+FitOptions fit_options(const FitJob& job, double radius_spacings) {
+  FitOptions options;
+  options.radius_spacings = radius_spacings;
+  options.max_radius = static_cast<float>(kReachSpacings * job.typical_spacing);
+  options.lone_radius = static_cast<float>(job.typical_spacing);
+  return options;
+}
+
+}  // namespace
+
+void fit_normals(const FitJob& job, MemoryBudget& budget, Reporter& report) {
+  const FitOptions options = fit_options(job, job.estimate_radius_spacings);
+  for_each_leaf(job, "normals", budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
+    std::vector<SurfelBlock> blocks = read_blocks(job, chunk);
+    const ChunkEntry& e = job.entries[chunk];
+    const auto estimated = [&](std::uint32_t slot) { return (blocks[slot / 16].flags[slot % 16] & SurfelBlock::kEstimated) != 0; };
+    bool any = false;
+    for (std::uint32_t slot = 0; slot < e.count && !any; ++slot) any = estimated(slot);
+    if (!any) return;
+    for_each_neighbourhood(around, options, [&](std::uint32_t i, NeighbourList& list, const Candidates&) {
+      const NormalFit fit = fit_normal(list);
+      const auto code = encode_normal(fit.normal);
+      for (std::uint32_t slot = around.own().first_slot[i]; slot < around.own().first_slot[i + 1]; ++slot) {
+        if (!estimated(slot)) continue;
+        SurfelBlock& b = blocks[slot / 16];
+        b.normal_u[slot % 16] = code[0];
+        b.normal_v[slot % 16] = code[1];
+        b.flags[slot % 16] = static_cast<std::uint8_t>(SurfelBlock::kEstimated | (fit.isolated ? SurfelBlock::kIsolated : 0));
+      }
+    });
+    job.geometry.write_at(e.offset, blocks.data(), geometry_bytes(e.count));
+  });
+}
+
+void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report) {
+  FitOptions options = fit_options(job, kRadiusSpacings);
+  options.sorted = true;
+  options.most = 40;
+  for_each_leaf(job, "radii", budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
+    std::vector<SurfelBlock> blocks = read_blocks(job, chunk);
+    ChunkEntry& e = job.entries[chunk];
+    const HaloChunk& own = around.own();
+    std::vector<float> radii(own.size);
+    std::vector<float> means(own.size);
+    for_each_neighbourhood(around, options, [&](std::uint32_t i, NeighbourList& list, const Candidates& candidates) {
+      const Vec3f normal = decode_normal(own.normal[i][0], own.normal[i][1]);
+      radii[i] = (own.flags[i] & SurfelBlock::kIsolated) ? std::min(list.items.empty() ? options.lone_radius : list.mean_of_nearest, options.lone_radius)
+                                                         : fit_radius(list, candidates, normal, own.flags[i], options);
+      means[i] = list.mean_of_nearest;
+    });
+    double sum = 0;
+    e.radius_max = 0;
+    for (std::uint32_t i = 0; i < own.size; ++i) {
+      sum += means[i];
+      e.radius_max = std::max(e.radius_max, radii[i]);
+    }
+    e.spacing = static_cast<float>(sum / own.size);
+    if (!(e.radius_max > 0)) e.radius_max = options.lone_radius;
+    for (std::uint32_t i = 0; i < own.size; ++i) {
+      const std::uint8_t code = encode_radius(radii[i], e.radius_max);
+      for (std::uint32_t slot = own.first_slot[i]; slot < own.first_slot[i + 1]; ++slot) blocks[slot / 16].log_radius[slot % 16] = code;
+    }
+    job.geometry.write_at(e.offset, blocks.data(), geometry_bytes(e.count));
+    e.geometry_crc = crc32c(blocks.data(), geometry_bytes(e.count));
+  });
+}
+
+}  // namespace chiaro::stream

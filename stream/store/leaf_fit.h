@@ -1,0 +1,26 @@
+/// Normals, then radii, of all leaves in Morton order; both rewrite the leaves in place and can be repeated.
+#pragma once
+#include <vector>
+
+#include "stream/base/budget.h"
+#include "stream/base/file.h"
+#include "stream/base/report.h"
+#include "stream/store/store.h"
+
+namespace chiaro::stream {
+
+struct FitJob {
+  File& geometry;
+  const Manifest& manifest;             ///< frame of the root
+  std::vector<ChunkEntry>& entries;     ///< the whole index; inner nodes need their links only
+  const std::vector<std::uint32_t>& leaves;
+  double typical_spacing = 0;
+  double estimate_radius_spacings = 3.5;
+};
+
+/// Normals of surfels flagged kEstimated.
+void fit_normals(const FitJob& job, MemoryBudget& budget, Reporter& report);
+/// Radii, radius_max, spacing and geometry CRC of every leaf.
+void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report);
+
+}  // namespace chiaro::stream

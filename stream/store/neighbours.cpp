@@ -1,0 +1,201 @@
+#include "stream/store/neighbours.h"
+
+#include <algorithm>
+#include <cstring>
+
+namespace chiaro::stream {
+namespace {
+
+constexpr float kFar = 1e30f;
+using FlatBox = HaloChunk::FlatBox;
+
+FlatBox empty_box() { return {{kFar, kFar, kFar}, {-kFar, -kFar, -kFar}}; }
+
+void extend(FlatBox& a, const FlatBox& b) {
+  for (std::size_t i = 0; i < 3; ++i) {
+    a.min[i] = std::min(a.min[i], b.min[i]);
+    a.max[i] = std::max(a.max[i], b.max[i]);
+  }
+}
+
+float gap_squared(const FlatBox& a, const FlatBox& b) {
+  float sum = 0;
+  for (std::size_t i = 0; i < 3; ++i) {
+    const float gap = std::max(0.0f, std::max(a.min[i] - b.max[i], b.min[i] - a.max[i]));
+    sum += gap * gap;
+  }
+  return sum;
+}
+
+void build_levels(HaloChunk& c) {
+  const std::size_t groups = c.x.size() / HaloChunk::kGroup;
+  c.levels.emplace_back(groups, empty_box());
+  for (std::size_t i = 0; i < c.size; ++i) extend(c.levels[0][i / HaloChunk::kGroup], {{c.x[i], c.y[i], c.z[i]}, {c.x[i], c.y[i], c.z[i]}});
+  while (c.levels.back().size() > 1) {
+    const std::vector<FlatBox>& below = c.levels.back();
+    std::vector<FlatBox> above((below.size() + 7) / 8, empty_box());
+    for (std::size_t i = 0; i < below.size(); ++i) extend(above[i / 8], below[i]);
+    c.levels.push_back(std::move(above));
+  }
+}
+
+template <class T>
+void append(std::vector<T>& out, const std::vector<T>& in, std::size_t begin, std::size_t end) {
+  out.insert(out.end(), in.begin() + static_cast<std::ptrdiff_t>(begin), in.begin() + static_cast<std::ptrdiff_t>(end));
+}
+
+// Visits the groups whose box comes within the radius, in order.
+template <class F>
+void visit_groups(const HaloChunk& c, std::size_t level, std::size_t node, const FlatBox& box, float radius_squared, const F& body) {
+  if (gap_squared(c.levels[level][node], box) > radius_squared) return;
+  if (level == 0) return body(node);
+  const std::size_t end = std::min(c.levels[level - 1].size(), 8 * node + 8);
+  for (std::size_t i = 8 * node; i < end; ++i) visit_groups(c, level - 1, i, box, radius_squared, body);
+}
+
+void gather_from(const HaloChunk& c, const FlatBox& box, float radius, const Vec3d* shift, Candidates& out) {
+  visit_groups(c, c.levels.size() - 1, 0, box, radius * radius, [&](std::size_t group) {
+    const std::size_t begin = group * HaloChunk::kGroup, end = std::min<std::size_t>(c.size, begin + HaloChunk::kGroup);
+    append(out.normal, c.normal, begin, end);
+    append(out.flags, c.flags, begin, end);
+    if (!shift) {
+      append(out.x, c.x, begin, end);
+      append(out.y, c.y, begin, end);
+      append(out.z, c.z, begin, end);
+      return;
+    }
+    for (std::size_t i = begin; i < end; ++i) {
+      out.x.push_back(static_cast<float>(shift->x() + c.x[i]));
+      out.y.push_back(static_cast<float>(shift->y() + c.y[i]));
+      out.z.push_back(static_cast<float>(shift->z() + c.z[i]));
+    }
+  });
+}
+
+}  // namespace
+
+std::uint64_t HaloChunk::bytes_for(std::uint32_t count) { return 24ull * count + 1024; }
+
+std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count) {
+  auto chunk = std::make_shared<HaloChunk>();
+  HaloChunk& c = *chunk;
+  c.index = index;
+  c.origin_in_world = frame.origin_in_world;
+  const auto step = static_cast<float>(frame.step);
+  const auto position = [&](std::uint32_t i) {
+    const SurfelBlock& b = blocks[i / 16];
+    return std::array<std::uint16_t, 3>{b.x[i % 16], b.y[i % 16], b.z[i % 16]};
+  };
+  for (std::uint32_t i = 0; i < count; ++i)
+    if (i == 0 || position(i) != position(i - 1)) c.first_slot.push_back(i);
+  c.size = static_cast<std::uint32_t>(c.first_slot.size());
+  c.first_slot.push_back(count);
+  const std::size_t padded = (c.size + HaloChunk::kGroup - 1) / HaloChunk::kGroup * HaloChunk::kGroup;
+  c.x.assign(padded, kFar);
+  c.y.assign(padded, kFar);
+  c.z.assign(padded, kFar);
+  c.normal.resize(padded);
+  c.flags.resize(padded);
+  for (std::uint32_t i = 0; i < c.size; ++i) {
+    const std::uint32_t slot = c.first_slot[i];
+    const auto q = position(slot);
+    c.x[i] = (static_cast<float>(q[0]) + 0.5f) * step;
+    c.y[i] = (static_cast<float>(q[1]) + 0.5f) * step;
+    c.z[i] = (static_cast<float>(q[2]) + 0.5f) * step;
+    c.normal[i] = {blocks[slot / 16].normal_u[slot % 16], blocks[slot / 16].normal_v[slot % 16]};
+    c.flags[i] = blocks[slot / 16].flags[slot % 16];
+  }
+  build_levels(c);
+  return chunk;
+}
+
+bool HaloCache::evict_one() {
+  for (auto it = order_.rbegin(); it != order_.rend(); ++it) {
+    const auto slot = slots_.find(*it);
+    if (slot->second.chunk.use_count() > 1) continue;
+    order_.erase(slot->second.place);
+    slots_.erase(slot);
+    return true;
+  }
+  return false;
+}
+
+std::shared_ptr<const HaloChunk> HaloCache::get(std::uint32_t chunk) {
+  {
+    const std::lock_guard lock(mutex_);
+    const auto it = slots_.find(chunk);
+    if (it != slots_.end()) {
+      order_.splice(order_.begin(), order_, it->second.place);
+      return it->second.chunk;
+    }
+  }
+  // Room is made before loading; two threads may load the same chunk, the second copy is then dropped.
+  const std::uint64_t bytes = bytes_of_(chunk);
+  BudgetLease lease;
+  {
+    const std::lock_guard lock(mutex_);
+    while (budget_.free_bytes() < bytes && evict_one()) {
+    }
+    lease = BudgetLease(budget_, bytes, "points around a chunk");
+  }
+  auto loaded = load_(chunk);
+  const std::lock_guard lock(mutex_);
+  const auto it = slots_.find(chunk);
+  if (it != slots_.end()) return it->second.chunk;
+  order_.push_front(chunk);
+  slots_.emplace(chunk, Slot{loaded, std::move(lease), order_.begin()});
+  return loaded;
+}
+
+void Candidates::clear() {
+  x.clear();
+  y.clear();
+  z.clear();
+  normal.clear();
+  flags.clear();
+}
+
+Neighbourhood::Neighbourhood(std::shared_ptr<const HaloChunk> own, const Box3d& own_bounds, const Find& find, HaloCache& cache)
+    : own_(std::move(own)), own_bounds_(own_bounds), find_(find), cache_(cache) {
+  find_near(static_cast<float>((own_bounds.max - own_bounds.min).maxCoeff() / 16));
+}
+
+void Neighbourhood::find_near(float radius) {
+  near_radius_ = radius;
+  near_.clear();
+  Box3d grown = own_bounds_;
+  grown.min -= Vec3d::Constant(1.001 * radius);
+  grown.max += Vec3d::Constant(1.001 * radius);
+  for (const auto& [chunk, box] : find_(grown)) {
+    if (chunk == own_->index) continue;
+    Near n{chunk, {}};
+    for (int a = 0; a < 3; ++a) {
+      const double low = box.min[a] - own_->origin_in_world[a], high = box.max[a] - own_->origin_in_world[a];
+      const double slack = 1e-6 * std::max(std::abs(low), std::abs(high));  // doubles to floats, outwards
+      n.box.min[static_cast<std::size_t>(a)] = static_cast<float>(low - slack);
+      n.box.max[static_cast<std::size_t>(a)] = static_cast<float>(high + slack);
+    }
+    near_.push_back(n);
+  }
+}
+
+void Neighbourhood::gather(const FlatBox& box, float radius, Candidates& out) {
+  if (radius > near_radius_) find_near(2 * radius);
+  out.clear();
+  gather_from(*own_, box, radius, nullptr, out);
+  for (const Near& n : near_) {
+    if (gap_squared(n.box, box) > radius * radius) continue;
+    const auto chunk = cache_.get(n.chunk);
+    const Vec3d shift = chunk->origin_in_world - own_->origin_in_world;
+    FlatBox there = box;
+    float magnitude = 0;
+    for (std::size_t a = 0; a < 3; ++a) {
+      there.min[a] = static_cast<float>(box.min[a] - shift[static_cast<int>(a)]);
+      there.max[a] = static_cast<float>(box.max[a] - shift[static_cast<int>(a)]);
+      magnitude = std::max({magnitude, std::abs(there.min[a]), std::abs(there.max[a])});
+    }
+    gather_from(*chunk, there, radius + 4e-7f * magnitude, &shift, out);  // grown by the rounding of the shift
+  }
+}
+
+}  // namespace chiaro::stream
