@@ -171,6 +171,9 @@ class LasOpener {
       }
       offset = content + bytes;
     }
+    constexpr std::size_t kMostUndescribed = 2048;
+    if (header_.record_bytes - used_bytes_ > kMostUndescribed)
+      fail(kRecordLength, concat("records of ", header_.record_bytes, " bytes, of which ", header_.record_bytes - used_bytes_, " are not described, expected at most ", kMostUndescribed));
     for (int k = 0; used_bytes_ < header_.record_bytes; ++k) add_field(concat("extra_byte_", k), ScalarType::kU8, used_bytes_++);
   }
 

@@ -1,0 +1,414 @@
+// Statistical outliers of a stream that does not fit in memory.
+//
+// 1. Positions with their running numbers go to a scratch file.
+// 2. The file is split, around medians of a sample, into leaves that fit in memory; the leaves' boxes do not overlap.
+// 3. Each leaf is searched: first among its own points, then, where neighbours may lie across its border, among the points around it (the halo).
+// 4. What is still open (points further from everything than the halo is wide: mostly the outliers themselves) is searched in every leaf in reach.
+// So every mean distance is exact, and mean, deviation and threshold are those of the whole cloud.
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <stdexcept>
+
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/base/parallel.h"
+#include "stream/cloud/filtered.h"
+
+namespace chiaro::stream {
+namespace {
+
+struct Record {
+  double position[3];
+  std::uint64_t index;
+  Vec3d at() const { return {position[0], position[1], position[2]}; }
+};
+static_assert(sizeof(Record) == 32);
+
+struct Leaf {
+  std::uint64_t first = 0, count = 0;  // records in the file
+  Box3d box;
+};
+
+/// Appends records through a buffer to one place of a file.
+class RecordSink {
+ public:
+  RecordSink(File& file, std::uint64_t first, std::size_t buffered) : file_(&file), next_(first), limit_(buffered) { buffer_.reserve(limit_); }
+  void add(const Record& record) {
+    buffer_.push_back(record);
+    if (buffer_.size() >= limit_) flush();
+  }
+  void flush() {
+    if (!buffer_.empty()) file_->write_at(next_ * sizeof(Record), buffer_.data(), buffer_.size() * sizeof(Record));
+    next_ += buffer_.size();
+    buffer_.clear();
+  }
+
+ private:
+  File* file_;
+  std::uint64_t next_;
+  std::size_t limit_;
+  std::vector<Record> buffer_;
+};
+
+template <class Visit>
+void for_records(const File& file, std::uint64_t first, std::uint64_t count, const Visit& visit) {
+  constexpr std::uint64_t kAtOnce = 32768;
+  std::vector<Record> buffer(std::min(kAtOnce, count));
+  for (std::uint64_t done = 0; done < count;) {
+    const std::uint64_t n = std::min<std::uint64_t>(buffer.size(), count - done);
+    file.read_at((first + done) * sizeof(Record), buffer.data(), n * sizeof(Record));
+    for (std::uint64_t i = 0; i < n; ++i) visit(buffer[i]);
+    done += n;
+  }
+}
+
+/// Splits records into leaves of at most `capacity`, partitioning back and forth between two files.
+class Splitter {
+ public:
+  Splitter(File& records, File& other, std::uint64_t capacity, Reporter& report) : records_(records), other_(other), capacity_(capacity), report_(report) {}
+
+  std::vector<Leaf> split(std::uint64_t count) {
+    std::vector<Leaf> open = {{0, count, bounds_of(0, count)}};
+    bounds_ = open[0].box;
+    std::vector<Leaf> leaves;
+    while (!open.empty()) {
+      report_.check();
+      const Leaf node = open.back();
+      open.pop_back();
+      if (node.count == 0) continue;
+      if (node.count <= capacity_) {
+        leaves.push_back(node);
+      } else if ((node.box.max.array() == node.box.min.array()).all()) {
+        // All in one place: any cut is as good as another.
+        for (std::uint64_t at = 0; at < node.count; at += capacity_) leaves.push_back({node.first + at, std::min(capacity_, node.count - at), node.box});
+      } else {
+        const auto [low, high] = cut(node);
+        open.push_back(high);
+        open.push_back(low);
+      }
+    }
+    return leaves;
+  }
+
+  const Box3d& bounds() const { return bounds_; }
+
+ private:
+  Box3d bounds_of(std::uint64_t first, std::uint64_t count) const {
+    Box3d box;
+    for_records(records_, first, count, [&](const Record& r) { box.extend(r.at()); });
+    return box;
+  }
+
+  // The middle of the box always parts it; the median of a sample does so into equal halves, unless many values are the same.
+  std::pair<Leaf, Leaf> cut(const Leaf& node) {
+    int axis = 0;
+    (node.box.max - node.box.min).maxCoeff(&axis);
+    double at = sample_median(node, axis);
+    if (!(at >= node.box.min[axis] && at < node.box.max[axis])) at = node.box.min[axis] + (node.box.max[axis] - node.box.min[axis]) / 2;
+    if (!(at < node.box.max[axis])) at = node.box.min[axis];
+    std::uint64_t num_low = 0;
+    for_records(records_, node.first, node.count, [&](const Record& r) { num_low += r.position[axis] <= at; });
+    Leaf low{node.first, num_low, {}}, high{node.first + num_low, node.count - num_low, {}};
+    RecordSink lows(other_, low.first, 16384), highs(other_, high.first, 16384);
+    for_records(records_, node.first, node.count, [&](const Record& r) {
+      const bool is_low = r.position[axis] <= at;
+      (is_low ? lows : highs).add(r);
+      (is_low ? low : high).box.extend(r.at());
+    });
+    lows.flush();
+    highs.flush();
+    copy_back(node);
+    return {low, high};
+  }
+
+  double sample_median(const Leaf& node, int axis) const {
+    constexpr std::uint64_t kSamples = 1024;
+    const std::uint64_t stride = std::max<std::uint64_t>(1, node.count / kSamples);
+    std::vector<double> values;
+    for (std::uint64_t i = 0; i < node.count; i += stride) {
+      Record record;
+      records_.read_at((node.first + i) * sizeof(Record), &record, sizeof record);
+      values.push_back(record.position[axis]);
+    }
+    std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2), values.end());
+    return values[values.size() / 2];
+  }
+
+  void copy_back(const Leaf& node) {
+    std::vector<char> buffer(1 << 20);
+    const std::uint64_t begin = node.first * sizeof(Record), bytes = node.count * sizeof(Record);
+    for (std::uint64_t done = 0; done < bytes;) {
+      const std::size_t n = static_cast<std::size_t>(std::min<std::uint64_t>(buffer.size(), bytes - done));
+      other_.read_at(begin + done, buffer.data(), n);
+      records_.write_at(begin + done, buffer.data(), n);
+      done += n;
+    }
+  }
+
+  File& records_;
+  File& other_;
+  std::uint64_t capacity_;
+  Reporter& report_;
+  Box3d bounds_;
+};
+
+double distance_to_box(const Vec3d& p, const Box3d& box) { return (box.min - p).cwiseMax(p - box.max).cwiseMax(0.0).norm(); }
+
+double distance_between(const Box3d& a, const Box3d& b) { return (a.min - b.max).cwiseMax(b.min - a.max).cwiseMax(0.0).norm(); }
+
+/// How far a point inside the box is from its nearest side.
+double depth_in_box(const Vec3d& p, const Box3d& box) { return std::max(0.0, std::min((p - box.min).minCoeff(), (box.max - p).minCoeff())); }
+
+/// Merges `found` sorted distances into the k smallest of `best`, sorted too.
+void merge(double* best, std::size_t k, const double* distances, std::size_t found, std::vector<double>& scratch) {
+  if (found == 0 || !(distances[0] < best[k - 1])) return;
+  scratch.resize(k + found);
+  std::merge(best, best + k, distances, distances + found, scratch.begin());
+  std::copy_n(scratch.begin(), k, best);
+}
+
+/// A point whose nearest points are not certain yet, with the best distances so far.
+struct Open {
+  Vec3d at;
+  std::uint64_t index;
+};
+
+class OutlierSearch {
+ public:
+  OutlierSearch(const OutlierOptions& options, Reporter& report)
+      : options_(options), report_(report), scratch_(options.scratch_folder), records_(scratch_.path() / "records", File::Mode::kCreate),
+        other_(scratch_.path() / "split", File::Mode::kCreate) {
+    if (options.neighbours < 1 || std::isnan(options.multiplier)) throw std::invalid_argument("mark_outliers: neighbours must be 1 or more and the multiplier a number");
+  }
+
+  OutlierMarks run(PointReader& reader) {
+    store(reader);
+    marks_.bits.assign((marks_.num_points + 63) / 64, 0);
+    if (num_finite_ < 2) return std::move(marks_);
+    // The nearest of all is the point itself, at distance 0.
+    k_ = static_cast<std::size_t>(std::min<std::uint64_t>(static_cast<std::uint64_t>(options_.neighbours), num_finite_ - 1)) + 1;
+    const std::uint64_t memory = std::max<std::uint64_t>(options_.memory_bytes, 16 << 20);
+    // A record, its float copy, PCL's point, FLANN's tree and copy are some 110 bytes; a leaf and a halo of the same size are held at a time.
+    capacity_ = memory / (2 * (128 + 12 * k_));
+    means_ = File(scratch_.path() / "means", File::Mode::kCreate);
+    Splitter splitter(records_, other_, capacity_, report_);
+    leaves_ = splitter.split(num_finite_);
+    diagonal_ = (splitter.bounds().max - splitter.bounds().min).norm();
+    report_.begin("outliers", num_finite_, "points");
+    std::uint64_t done = 0;
+    for (std::size_t i = 0; i < leaves_.size(); ++i) {
+      report_.check();
+      search_leaf(i);
+      if (open_.size() >= max_open()) search_open();
+      report_.progress(done += leaves_[i].count);
+    }
+    search_open();
+    report_.end();
+    mark();
+    return std::move(marks_);
+  }
+
+ private:
+  std::size_t max_open() const { return std::max<std::size_t>(1024, static_cast<std::size_t>(capacity_) / 4); }
+
+  void store(PointReader& reader) {
+    RecordSink sink(records_, 0, 32768);
+    PointBlock block;
+    while (reader.read(block, 65536)) {
+      report_.check();
+      for (const Vec3d& p : block.position) {
+        const std::uint64_t index = marks_.num_points++;
+        if (!p.allFinite()) continue;
+        sink.add({{p.x(), p.y(), p.z()}, index});
+        ++num_finite_;
+      }
+    }
+    sink.flush();
+  }
+
+  void load(const Leaf& leaf, std::vector<Vec3d>& points, std::vector<std::uint64_t>* indices) const {
+    for_records(records_, leaf.first, leaf.count, [&](const Record& r) {
+      points.push_back(r.at());
+      if (indices) indices->push_back(r.index);
+    });
+  }
+
+  /// k best distances of each query in the tree, merged into `best` (k per query).
+  void search(const NeighbourTree& tree, std::span<const Vec3d> queries, double* best) const {
+    constexpr std::size_t kGrain = 1024;
+    parallel_blocks(queries.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+      std::vector<std::uint32_t> indices;
+      std::vector<double> distances, scratch;
+      const std::size_t found = tree.search(queries.subspan(begin, end - begin), k_, indices, distances);
+      for (std::size_t q = begin; q < end; ++q) merge(best + q * k_, k_, distances.data() + (q - begin) * k_, found, scratch);
+    });
+  }
+
+  void search_leaf(std::size_t leaf_idx) {
+    const Leaf& leaf = leaves_[leaf_idx];
+    std::vector<Vec3d> points;
+    std::vector<std::uint64_t> indices;
+    load(leaf, points, &indices);
+    std::vector<double> best(points.size() * k_, std::numeric_limits<double>::infinity());
+    search(NeighbourTree(points), points, best.data());
+
+    double reach = 0;
+    std::vector<std::size_t> border;
+    if (leaves_.size() > 1) {
+      for (std::size_t i = 0; i < points.size(); ++i)
+        if (!(best[i * k_ + k_ - 1] <= depth_in_box(points[i], leaf.box))) border.push_back(i);
+      reach = halo_width(best, border);
+      search_halo(leaf_idx, points, border, best, reach);
+    }
+    std::vector<bool> is_border(points.size(), false);
+    for (const std::size_t i : border) is_border[i] = true;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      const double* b = best.data() + i * k_;
+      if (!is_border[i] || b[k_ - 1] <= depth_in_box(points[i], leaf.box) + reach) {
+        write_mean(indices[i], b);
+      } else {
+        open_.push_back({points[i], indices[i]});
+        open_best_.insert(open_best_.end(), b, b + k_);
+      }
+    }
+  }
+
+  // Wide enough for nine of ten points at the border; the others are searched one by one later.
+  double halo_width(const std::vector<double>& best, const std::vector<std::size_t>& border) const {
+    std::vector<double> widths;
+    for (const std::size_t i : border)
+      if (std::isfinite(best[i * k_ + k_ - 1])) widths.push_back(best[i * k_ + k_ - 1]);
+    if (widths.empty()) return 0;
+    const auto at = widths.begin() + static_cast<std::ptrdiff_t>(widths.size() * 9 / 10);
+    std::nth_element(widths.begin(), at, widths.end());
+    return *at;
+  }
+
+  // `reach` becomes 0 where the halo would not fit in memory.
+  void search_halo(std::size_t leaf_idx, const std::vector<Vec3d>& points, const std::vector<std::size_t>& border, std::vector<double>& best, double& reach) {
+    const Leaf& leaf = leaves_[leaf_idx];
+    std::vector<Vec3d> halo;
+    for (std::size_t j = 0; j < leaves_.size() && halo.size() <= capacity_; ++j) {
+      if (j == leaf_idx || distance_between(leaves_[j].box, leaf.box) > reach) continue;
+      for_records(records_, leaves_[j].first, leaves_[j].count, [&](const Record& r) {
+        if (halo.size() <= capacity_ && distance_to_box(r.at(), leaf.box) <= reach) halo.push_back(r.at());
+      });
+    }
+    if (halo.size() > capacity_) reach = 0;  // nothing beyond the box is known
+    if (reach == 0 || halo.empty()) return;
+    std::vector<Vec3d> queries;
+    std::vector<double> found;
+    for (const std::size_t i : border) {
+      queries.push_back(points[i]);
+      found.insert(found.end(), best.begin() + static_cast<std::ptrdiff_t>(i * k_), best.begin() + static_cast<std::ptrdiff_t>(i * k_ + k_));
+    }
+    search(NeighbourTree(halo), queries, found.data());
+    for (std::size_t b = 0; b < border.size(); ++b) std::copy_n(found.begin() + static_cast<std::ptrdiff_t>(b * k_), k_, best.begin() + static_cast<std::ptrdiff_t>(border[b] * k_));
+  }
+
+  // From scratch over all leaves in reach: what was found so far may hold points of the halo, which must not count twice.
+  void search_open() {
+    if (open_.empty()) return;
+    std::vector<double> bound(open_.size());
+    // Room for rounding: the search picks neighbours in floats.
+    for (std::size_t i = 0; i < open_.size(); ++i) bound[i] = open_best_[i * k_ + k_ - 1] * (1 + 1e-6) + 1e-6 * diagonal_;
+    std::fill(open_best_.begin(), open_best_.end(), std::numeric_limits<double>::infinity());
+    for (const Leaf& leaf : leaves_) {
+      report_.check();
+      std::vector<std::size_t> in_reach;
+      for (std::size_t i = 0; i < open_.size(); ++i)
+        if (distance_to_box(open_[i].at, leaf.box) <= std::min(bound[i], open_best_[i * k_ + k_ - 1])) in_reach.push_back(i);
+      if (in_reach.empty()) continue;
+      std::vector<Vec3d> points, queries;
+      load(leaf, points, nullptr);
+      std::vector<double> best;
+      for (const std::size_t i : in_reach) {
+        queries.push_back(open_[i].at);
+        best.insert(best.end(), open_best_.begin() + static_cast<std::ptrdiff_t>(i * k_), open_best_.begin() + static_cast<std::ptrdiff_t>(i * k_ + k_));
+      }
+      search(NeighbourTree(points), queries, best.data());
+      for (std::size_t q = 0; q < in_reach.size(); ++q)
+        std::copy_n(best.begin() + static_cast<std::ptrdiff_t>(q * k_), k_, open_best_.begin() + static_cast<std::ptrdiff_t>(in_reach[q] * k_));
+    }
+    for (std::size_t i = 0; i < open_.size(); ++i) write_mean(open_[i].index, open_best_.data() + i * k_);
+    open_.clear();
+    open_best_.clear();
+  }
+
+  // As a float, as PCL keeps it. Means lie in the order of the stream, so that sums do not depend on the leaves.
+  void write_mean(std::uint64_t index, const double* best) {
+    double sum = 0;
+    for (std::size_t j = 1; j < k_; ++j) sum += best[j];
+    pending_.push_back({index, static_cast<float>(sum / static_cast<double>(k_ - 1))});
+    if (pending_.size() >= 65536) flush_means();
+  }
+
+  // Sorted, so that runs of neighbouring numbers go out in one write.
+  void flush_means() {
+    std::sort(pending_.begin(), pending_.end(), [](const Mean& a, const Mean& b) { return a.index < b.index; });
+    std::vector<float> run;
+    for (std::size_t i = 0; i < pending_.size(); ++i) {
+      run.push_back(pending_[i].value);
+      if (i + 1 < pending_.size() && pending_[i + 1].index == pending_[i].index + 1) continue;
+      means_.write_at((pending_[i].index + 1 - run.size()) * sizeof(float), run.data(), run.size() * sizeof(float));
+      run.clear();
+    }
+    pending_.clear();
+  }
+
+  // Points without a finite position have left holes of zeros in the file: PCL counts them as 0 in its sums, and so do we.
+  template <class Visit>
+  void for_means(const Visit& visit) const {
+    std::vector<float> buffer(65536);
+    for (std::uint64_t first = 0; first < marks_.num_points; first += buffer.size()) {
+      const std::size_t n = static_cast<std::size_t>(std::min<std::uint64_t>(buffer.size(), marks_.num_points - first));
+      means_.read_at(first * sizeof(float), buffer.data(), n * sizeof(float));
+      for (std::size_t i = 0; i < n; ++i) visit(first + i, static_cast<double>(buffer[i]));
+    }
+  }
+
+  void mark() {
+    flush_means();
+    means_.truncate(marks_.num_points * sizeof(float));
+    double sum = 0, squares = 0;
+    for_means([&](std::uint64_t, double mean) {
+      sum += mean;
+      squares += mean * mean;
+    });
+    const double n = static_cast<double>(num_finite_);
+    const double variance = std::max(0.0, (squares - sum * sum / n) / (n - 1));
+    marks_.mean_distance = sum / n;
+    marks_.threshold = marks_.mean_distance + options_.multiplier * std::sqrt(variance);
+    for_means([&](std::uint64_t index, double mean) {
+      if (!(mean > marks_.threshold)) return;
+      marks_.bits[index >> 6] |= std::uint64_t{1} << (index & 63);
+      ++marks_.num_rejected;
+    });
+  }
+
+  struct Mean {
+    std::uint64_t index;
+    float value;
+  };
+
+  const OutlierOptions options_;
+  Reporter& report_;
+  ScratchFolder scratch_;
+  File records_, other_, means_;
+  std::uint64_t num_finite_ = 0, capacity_ = 0;
+  std::size_t k_ = 0;
+  double diagonal_ = 0;
+  std::vector<Leaf> leaves_;
+  std::vector<Open> open_;
+  std::vector<double> open_best_;  // k_ per open point
+  std::vector<Mean> pending_;
+  OutlierMarks marks_;
+};
+
+}  // namespace
+
+OutlierMarks mark_outliers(PointReader& reader, const OutlierOptions& options, Reporter& report) { return OutlierSearch(options, report).run(reader); }
+
+}  // namespace chiaro::stream
