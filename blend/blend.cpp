@@ -220,7 +220,7 @@ class Blender {
     stats.points = n;
     for (std::size_t i = 0; i < n; ++i) {
       const BlendedSurfel s = resolve(record.surfels[i], static_cast<float>(options_.shared_sigma));
-      std::memcpy(albedo + i * 3 * sizeof(float), s.albedo.data(), 3 * sizeof(float));
+      for (std::size_t c = 0; c < 3; ++c) std::memcpy(albedo + (c * n + i) * sizeof(float), s.albedo.data() + c, sizeof(float));
       std::memcpy(sigma + i * sizeof(float), &s.sigma, sizeof(float));
       std::memcpy(photos + i * sizeof(std::uint16_t), &s.photographs, sizeof(std::uint16_t));
       stats.points_seen += s.photographs > 0;

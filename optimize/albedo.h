@@ -24,7 +24,4 @@ struct AlbedoStats {
 AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, const LightSolution& lights, const Vec3d& flash_in_world,
                          const std::filesystem::path& gathered, const AlbedoOptions& options, const std::filesystem::path& raster, Reporter& report);
 
-/// The pictures of the contract from that raster: albedo.exr, sigma.exr, light.exr in `folder`.
-void write_albedo_pictures(const std::filesystem::path& raster, const std::filesystem::path& folder);
-
 }  // namespace chiaro::optimize

@@ -63,7 +63,8 @@ float flash_irradiance(const Shot& shot, const Vec3f& p, const Hit& hit, RayCoun
   return cosine / r2;
 }
 
-Pixel trace_pixel(const Shot& shot, int column, int row, int n, RayCounts& counts) {
+Pixel trace_pixel(const Shot& shot, int column, int row, bool wanted, RayCounts& counts) {
+  const int n = wanted ? shot.subpixels : 1;
   Pixel pixel;
   const Vec2d middle(column + 0.5, row + 0.5);
   double depth = 0, flash = 0, flash2 = 0;
@@ -89,7 +90,7 @@ Pixel trace_pixel(const Shot& shot, int column, int row, int n, RayCounts& count
         pixel.surfel = hit.surfel;
         pixel.radius = hit.radius;
       }
-      if (shot.flash) {
+      if (shot.flash && wanted) {
         bool sees = false;
         const auto e = static_cast<double>(flash_irradiance(shot, ray.origin + ray.direction * hit.t, hit, counts, sees));
         flash += e;
@@ -187,11 +188,14 @@ class Caster {
       const int rows = std::min(kBandRows, y1 - band);
       std::vector<Pixel> pixels(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width));
       std::vector<RayCounts> counts(static_cast<std::size_t>(rows));
+      std::vector<std::uint8_t> mask(pixels.size(), 1);
+      if (options_.mask_raster) mask = stream::RasterReader(*options_.mask_raster).rows<std::uint8_t>("mask", band, rows);
       parallel_blocks(static_cast<std::size_t>(rows), 1, [&](std::size_t r0, std::size_t r1) {
         for (std::size_t r = r0; r < r1; ++r)
-          for (int x = 0; x < width; ++x)
-            pixels[r * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)] =
-                trace_pixel(shot, x, band + static_cast<int>(r), options_.subpixels, counts[r]);
+          for (int x = 0; x < width; ++x) {
+            const std::size_t i = r * static_cast<std::size_t>(width) + static_cast<std::size_t>(x);
+            pixels[i] = trace_pixel(shot, x, band + static_cast<int>(r), (mask[i] & 1) != 0, counts[r]);
+          }
       });
       for (const RayCounts& c : counts) {
         stats.rays += c.primary;

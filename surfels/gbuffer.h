@@ -17,6 +17,7 @@ namespace chiaro::surfels {
 struct GBufferOptions {
   int subpixels = 4;                        ///< rays a pixel: subpixels^2
   std::optional<Vec3d> flash_in_camera;     ///< project units; absent: no flash planes
+  std::optional<std::filesystem::path> mask_raster;   ///< raster with u8 plane `mask`: pixels without bit 1 get one ray and no flash
   CutOptions cut;
 };
 

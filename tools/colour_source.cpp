@@ -130,7 +130,7 @@ class LayerColours final : public ColourSource {
     const stream::Chunk chunk = store_.read_chunk(leaf);
     for (std::uint32_t i = 0; i < chunk.count; ++i) block.position.push_back(chunk.surfel(i).position_in_world);
     if (has_albedo_) block.albedo = stream::read_albedo(layer_, store_, leaf).albedo;
-    if (has_colour_) read_colour(leaf, chunk.count, block.colour);
+    if (has_colour_) read_colour(leaf, block.colour);
     return true;
   }
 
@@ -139,21 +139,8 @@ class LayerColours final : public ColourSource {
     if (stream::has_layer(store_, name)) return stream::Layer(store_, name);
     throw Error(concat(folder.string(), ": no layer \"", name, "\"", suggestion(name, stream::layer_names(store_))));
   }
-  void read_colour(std::uint32_t leaf, std::uint32_t count, std::vector<Vec3f>& colour) const {
-    static constexpr std::array<std::size_t, 4> kBytes = {4, 2, 2, 1};  // of FieldType
-    const std::vector<std::byte> planar = layer_.read_chunk(leaf);
-    std::size_t offset = 0;
-    for (const stream::LayerField& field : layer_.fields()) {
-      const std::size_t bytes = kBytes[static_cast<std::size_t>(field.type)] * static_cast<std::size_t>(field.components) * count;
-      if (offset + bytes > planar.size()) throw Error(concat(store_.path().string(), ": a layer's chunk ", leaf, " ends early"));
-      if (field.name == "colour")
-        for (std::uint32_t i = 0; i < count; ++i) {
-          std::array<std::uint16_t, 3> code{};
-          std::memcpy(code.data(), planar.data() + offset + i * sizeof code, sizeof code);
-          colour.push_back(srgb_table()(code));
-        }
-      offset += bytes;
-    }
+  void read_colour(std::uint32_t leaf, std::vector<Vec3f>& colour) const {
+    for (const auto& code : stream::read_colour(layer_, store_, leaf)) colour.push_back(srgb_table()(code));
   }
   stream::Store store_;
   stream::Layer layer_;

@@ -12,6 +12,9 @@ int run_export(std::span<const std::string> args, Console&);
 int run_run(std::span<const std::string> args, Console&);
 int run_info(std::span<const std::string> args, Console&);
 int run_ingest(std::span<const std::string> args, Console&);
+int run_report(std::span<const std::string> args, Console&);
+int run_status(std::span<const std::string> args, Console&);
+int run_synth(std::span<const std::string> args, Console&);
 int run_verify(std::span<const std::string> args, Console&);
 
 }  // namespace chiaro::tools

@@ -51,13 +51,9 @@ struct LeafRecords {
 };
 
 /// Colour of layer "input", 3 x u16 a surfel.
-std::vector<std::array<std::uint16_t, 3>> input_colours(const std::optional<stream::Layer>& input, std::uint32_t leaf, std::uint32_t count) {
-  std::vector<std::array<std::uint16_t, 3>> colours(count, {kMidGrey16, kMidGrey16, kMidGrey16});
-  if (!input) return colours;
-  const auto bytes = input->read_chunk(leaf);
-  if (bytes.size() != count * sizeof colours[0]) throw Error(concat("layer \"input\": chunk ", leaf, " holds ", bytes.size(), " bytes, expected ", count * sizeof colours[0]));
-  std::memcpy(colours.data(), bytes.data(), bytes.size());
-  return colours;
+std::vector<std::array<std::uint16_t, 3>> input_colours(const stream::Store& store, const std::optional<stream::Layer>& input, std::uint32_t leaf, std::uint32_t count) {
+  if (input) return stream::read_colour(*input, store, leaf);
+  return std::vector<std::array<std::uint16_t, 3>>(count, {kMidGrey16, kMidGrey16, kMidGrey16});
 }
 
 class LeafSource {
@@ -70,7 +66,7 @@ class LeafSource {
   LeafRecords read(std::uint32_t leaf) const {
     const stream::Chunk chunk = store_.read_chunk(leaf);
     const std::vector<std::uint64_t> sources = store_.read_sources(leaf);
-    const auto colours = input_colours(input_, leaf, chunk.count);
+    const auto colours = input_colours(store_, input_, leaf, chunk.count);
     stream::AlbedoValues values = albedo(chunk);
     LeafRecords records;
     for (const Vec3f& a : values.albedo) records.unseen += !a.allFinite();

@@ -384,10 +384,26 @@ std::vector<std::string> layer_names(const Store& store) {
   return names;
 }
 
-AlbedoValues read_albedo(const Layer& layer, const Store& store, std::uint32_t chunk) {
-  const auto expected = albedo_fields();
+namespace {
+bool has_schema(const Layer& layer, const std::vector<LayerField>& expected) {
   const auto same = [](const LayerField& a, const LayerField& b) { return a.name == b.name && a.type == b.type && a.components == b.components; };
-  if (!std::equal(layer.fields().begin(), layer.fields().end(), expected.begin(), expected.end(), same))
+  return std::equal(layer.fields().begin(), layer.fields().end(), expected.begin(), expected.end(), same);
+}
+}  // namespace
+
+std::vector<std::array<std::uint16_t, 3>> read_colour(const Layer& layer, const Store& store, std::uint32_t chunk) {
+  if (!has_schema(layer, input_fields())) throw Error(concat(store.path().string(), ": the layer has no colour (expected the field colour, 3 x u16)"));
+  const std::vector<std::byte> planar = layer.read_chunk(chunk);
+  const std::size_t n = store.chunks()[chunk].count;
+  std::vector<std::uint16_t> codes(3 * n);
+  std::memcpy(codes.data(), planar.data(), 6 * n);
+  std::vector<std::array<std::uint16_t, 3>> colours(n);
+  for (std::size_t i = 0; i < n; ++i) colours[i] = {codes[i], codes[n + i], codes[2 * n + i]};
+  return colours;
+}
+
+AlbedoValues read_albedo(const Layer& layer, const Store& store, std::uint32_t chunk) {
+  if (!has_schema(layer, albedo_fields()))
     throw Error(concat(store.path().string(), ": the layer has no albedo (expected fields albedo, sigma, photos)"));
   const std::vector<std::byte> planar = layer.read_chunk(chunk);
   const std::size_t n = store.chunks()[chunk].count;

@@ -35,7 +35,7 @@ class LayerWriter {
   LayerWriter(const Store& store, std::string name, std::vector<LayerField> fields, std::string provenance_json);
   LayerWriter(LayerWriter&&) noexcept;
   ~LayerWriter();
-  /// All values of one chunk, field after field (planar), each field count * components values. Thread-safe for different chunks.
+  /// All values of one chunk, planar: field after field, component after component, `count` values each. Thread-safe for different chunks.
   void write_chunk(std::uint32_t chunk, std::span<const std::byte> planar);
   /// Filters leaves to inner nodes, level by level. f32/f16 fields: mean of the finite values (NaN if none); u16/u8: rounded mean over surfels with a non-zero value, 0 if none.
   void finish_inner(Reporter& report);
@@ -73,5 +73,8 @@ struct AlbedoValues {
   std::vector<std::uint16_t> photos;
 };
 AlbedoValues read_albedo(const Layer& layer, const Store& store, std::uint32_t chunk);
+
+/// Colour of a chunk from a layer with field "colour" (3 x u16, sRGB-encoded). throws Error if the layer has another schema.
+std::vector<std::array<std::uint16_t, 3>> read_colour(const Layer& layer, const Store& store, std::uint32_t chunk);
 
 }  // namespace chiaro::stream

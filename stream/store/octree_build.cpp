@@ -301,9 +301,12 @@ class Builder {
         parallel_blocks(leaves.size(), 8, [&](std::size_t begin, std::size_t end) {
           for (std::size_t i = begin; i < end; ++i) {
             const ChunkEntry& e = store.chunks()[leaves[i]];
-            std::vector<std::byte> values(6ull * e.count);
-            colour.read_at(e.source_offset / kSourceBytes * 6, values.data(), values.size());
-            writer.write_chunk(leaves[i], values);
+            std::vector<std::array<std::uint16_t, 3>> values(e.count);
+            colour.read_at(e.source_offset / kSourceBytes * 6, values.data(), 6ull * e.count);
+            std::vector<std::uint16_t> planar(3ull * e.count);
+            for (std::size_t c = 0; c < 3; ++c)
+              for (std::size_t s = 0; s < values.size(); ++s) planar[c * values.size() + s] = values[s][c];
+            writer.write_chunk(leaves[i], std::as_bytes(std::span(planar)));
           }
         });
       }

@@ -1,0 +1,29 @@
+/// Where a run keeps things. One place for all names, so that report, render and status find what run left.
+#pragma once
+#include <filesystem>
+#include <string>
+
+namespace chiaro::tools {
+
+struct RunFolder {
+  std::filesystem::path root;
+
+  std::filesystem::path store() const { return root / "store.chiaro"; }
+  std::filesystem::path lights() const { return root / "lights.json"; }
+  std::filesystem::path record() const { return root / "run.json"; }
+  std::filesystem::path report() const { return root / "report"; }
+  std::filesystem::path pictures(const std::string& photograph_key) const { return root / "photographs" / photograph_key; }
+
+  std::filesystem::path work() const { return root / "work"; }
+  std::filesystem::path tasks() const { return work() / "tasks"; }
+  /// Effective project as JSON, written first: what report, render and status read.
+  std::filesystem::path project() const { return work() / "project.json"; }
+  std::filesystem::path photograph(const std::string& key) const { return work() / "photographs" / key; }
+  std::filesystem::path radiance(const std::string& key) const { return photograph(key) / "radiance.raster"; }
+  std::filesystem::path gbuffer(const std::string& key) const { return photograph(key) / "gbuffer.raster"; }
+  std::filesystem::path albedo(const std::string& key) const { return photograph(key) / "albedo.raster"; }
+  std::filesystem::path acquisition(const std::string& name) const { return work() / "acquisitions" / name; }
+  std::filesystem::path scratch() const { return work() / "scratch"; }
+};
+
+}  // namespace chiaro::tools

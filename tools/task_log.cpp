@@ -1,0 +1,60 @@
+#include "tools/task_log.h"
+
+#include <algorithm>
+#include <chrono>
+#include <nlohmann/json.hpp>
+
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+
+namespace chiaro::tools {
+using Json = nlohmann::ordered_json;
+
+TaskLog::TaskLog(std::filesystem::path folder) : folder_(std::move(folder)) { make_folder(folder_); }
+
+std::filesystem::path TaskLog::marker(const std::string& name) const {
+  std::string file = name;
+  std::replace(file.begin(), file.end(), '/', '.');
+  return folder_ / (file + ".json");
+}
+
+namespace {
+/// The marker's content, or null where there is none or it is damaged (then the task simply runs again).
+Json read_marker(const std::filesystem::path& path) {
+  std::error_code code;
+  if (!std::filesystem::exists(path, code)) return nullptr;
+  return Json::parse(read_text(path), nullptr, false);
+}
+bool matches(const Json& marker, const std::string& key, const std::vector<std::filesystem::path>& outputs) {
+  if (!marker.is_object() || !marker.contains("key") || marker["key"] != key) return false;
+  return std::all_of(outputs.begin(), outputs.end(), [](const std::filesystem::path& p) { return std::filesystem::exists(p); });
+}
+}  // namespace
+
+bool TaskLog::is_done(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs) const {
+  return matches(read_marker(marker(name)), key, outputs);
+}
+
+TaskOutcome TaskLog::run(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs,
+                         const std::function<std::string()>& body) const {
+  TaskOutcome outcome;
+  const Json found = read_marker(marker(name));
+  if (matches(found, key, outputs)) {
+    outcome.reused = true;
+    outcome.seconds = found.value("seconds", 0.0);
+    if (found.contains("info")) outcome.info_json = found["info"].dump();
+    return outcome;
+  }
+  std::error_code code;
+  std::filesystem::remove(marker(name), code);   // before the outputs change: a marker never speaks of what is half replaced
+  for (const auto& output : outputs)
+    if (output.has_parent_path()) make_folder(output.parent_path());
+  const auto start = std::chrono::steady_clock::now();
+  outcome.info_json = body();
+  outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  Json out{{"task", name}, {"key", key}, {"seconds", outcome.seconds}, {"info", Json::parse(outcome.info_json)}};
+  write_text(marker(name), out.dump(1) + "\n");
+  return outcome;
+}
+
+}  // namespace chiaro::tools
