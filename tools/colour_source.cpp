@@ -113,7 +113,7 @@ class LayerColours final : public ColourSource {
   LayerColours(const fs::path& folder, const std::string& name) : store_(folder), layer_(open_layer(folder, name)) {
     for (const stream::LayerField& field : layer_.fields()) {
       has_albedo_ = has_albedo_ || field.name == "albedo";
-      has_colour_ = has_colour_ || (field.name == "colour" && field.type == stream::FieldType::kU16 && field.components == 3);
+      has_colour_ = has_colour_ || field.name == "colour";
     }
     if (!has_albedo_ && !has_colour_) throw Error(concat(folder.string(), ": layer \"", name, "\" has neither albedo nor colour"));
   }
@@ -138,9 +138,6 @@ class LayerColours final : public ColourSource {
   stream::Layer open_layer(const fs::path& folder, const std::string& name) const {
     if (stream::has_layer(store_, name)) return stream::Layer(store_, name);
     throw Error(concat(folder.string(), ": no layer \"", name, "\"", suggestion(name, stream::layer_names(store_))));
-  }
-  void read_colour(std::uint32_t leaf, std::vector<Vec3f>& colour) const {
-    for (const auto& code : stream::read_colour(layer_, store_, leaf)) colour.push_back(srgb_table()(code));
   }
   stream::Store store_;
   stream::Layer layer_;

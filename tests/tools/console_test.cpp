@@ -1,6 +1,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <csignal>
+#include <cstdlib>
 #include <new>
 #include <nlohmann/json.hpp>
 #include <sstream>
@@ -118,6 +120,20 @@ TEST(ConsoleReport, TakesProgressFromManyThreads) {
   for (auto& thread : threads) thread.join();
   report.end();
   EXPECT_THAT(talk.str(), HasSubstr("100 %"));
+}
+
+TEST(StopSignals, TheFirstAsksAndTheSecondEnds) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_FALSE(stop_requested());
+  EXPECT_EXIT(
+      {
+        install_stop_signals();
+        std::raise(SIGINT);
+        if (!stop_requested()) std::exit(1);
+        std::raise(SIGTERM);
+        std::exit(2);
+      },
+      testing::KilledBySignal(SIGTERM), "");
 }
 
 struct Ran {

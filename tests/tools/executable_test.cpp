@@ -3,8 +3,7 @@
 #include <gtest/gtest.h>
 #include <sys/wait.h>
 
-#include <csignal>
-#include <cstdio>
+#include <cstdlib>
 #include <fstream>
 #include <nlohmann/json.hpp>
 
@@ -81,6 +80,12 @@ TEST_F(ExecutableTest, ListsItsCommandsAndSuggests) {
   EXPECT_EQ(typo.code, 2);
   EXPECT_EQ(typo.err, "error: unknown command \"comprae\"; did you mean \"compare\"?\n");
   EXPECT_THAT(run("--version").out, testing::MatchesRegex("chiaro [0-9.]+\n"));
+}
+
+TEST_F(ExecutableTest, NoticesThatItsOutputIsLost) {
+  if (!fs::exists("/dev/full")) GTEST_SKIP() << "no /dev/full";
+  const int status = std::system("'" CHIARO_EXECUTABLE "' --help >/dev/full 2>/dev/null");
+  EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 1);
 }
 
 TEST_F(ExecutableTest, ExitsWithOneForBadFiles) {
