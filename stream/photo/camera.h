@@ -13,7 +13,7 @@ namespace chiaro::stream {
 
 enum class LensKind {
   kPerspective,  ///< rational radial + tangential: covers COLMAP SIMPLE_PINHOLE .. FULL_OPENCV, Metashape frame, Bundler
-  kFisheye,      ///< equidistant, k1..k4 polynomial in theta: COLMAP OPENCV_FISHEYE, (SIMPLE_)RADIAL_FISHEYE, Metashape fisheye
+  kFisheye,      ///< equidistant, k1..k4 polynomial in theta, then p1..p4 as below: COLMAP OPENCV_FISHEYE, (SIMPLE_)RADIAL_FISHEYE, Metashape fisheye
 };
 
 /// x = X/Z, y = Y/Z, r2 = x^2 + y^2,  rho = (1 + k1 r2 + k2 r2^2 + k3 r2^3 + k7 r2^4) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
@@ -43,7 +43,7 @@ struct Camera {
   Pose pose;
 };
 
-/// Pixel coordinates of a point in the camera frame; nullopt behind the camera or where the lens model folds back (beyond its monotonic range).
+/// Pixel coordinates of a point in the camera frame; nullopt behind the camera (a fisheye also sees beyond 90 degrees) or where the lens model folds back (beyond its monotonic range).
 /// The result may lie outside the image.
 std::optional<Vec2d> project(const Lens& lens, const Vec3d& p_in_camera);
 

@@ -39,7 +39,7 @@ struct DevelopOptions {
   std::optional<std::filesystem::path> mask;  ///< picture of the same size; usable where it is at least half white (its alpha, where that varies)
   std::optional<NoiseModel> noise;            ///< estimated from the picture where absent
   double saturation = 0.98;                   ///< share of white from which on a value counts as saturated; compared before linearisation
-  std::optional<double> white;                ///< white level; default: the largest code of integer files, the camera's white of RAW, none for floats
+  std::optional<double> white;                ///< white level in the file's values; default 1 for integer files and RAW (largest code, the camera's white), none for floats
   int dilate_px = 2;                          ///< around saturated pixels of RAW and 8-bit files, where sharpening and blooming reach
 };
 

@@ -34,6 +34,7 @@ inline std::string file_bytes(const std::filesystem::path& path) {
 }
 
 inline void put_bytes(const std::filesystem::path& path, const std::string& bytes) {
+  std::filesystem::remove(path);  // a truncated file is written through to disk on close by some file systems; a new one is not
   std::ofstream out(path, std::ios::binary | std::ios::trunc);
   out.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
 }
