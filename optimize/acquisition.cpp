@@ -317,11 +317,14 @@ class LightProblem {
       report.check();
       albedo = sweep(solution.lights, albedo, outer < 2 ? kFirstSweeps : kLaterSweeps);
       const Lights before = solution.lights;
-      solution = solve_lights(samples_, current_references(), solve_options(input_, terms, use_pairs_), before);
+      LightSolveOptions light_options = solve_options(input_, terms, use_pairs_);
+      if (without_bounces_) light_options.bounce_mean = light_options.bounce_sd = 0;
+      solution = solve_lights(samples_, current_references(), light_options, before);
+      if (outer == kBounceCheck && !without_bounces_) check_bounces(light_options, solution);
       change = std::fabs(std::log(solution.lights.flash_intensity / before.flash_intensity)) +
                std::fabs(solution.lights.sky[0] - before.sky[0]) / std::max(1e-9, solution.lights.sky[0] + 0.01 * solution.lights.flash_intensity);
       report.progress(static_cast<std::uint64_t>(outer + 1));
-      if (outer >= 2 && change < kOuterTolerance) break;
+      if (outer > kBounceCheck && change < kOuterTolerance) break;
     }
     // With the lights final: the gathered light that the albedo stage reads.
     albedo_ = sweep(solution.lights, albedo, kFirstSweeps);
@@ -329,8 +332,23 @@ class LightProblem {
   }
 
   const std::vector<float>& albedo() const { return albedo_; }
+  bool without_bounces() const { return without_bounces_; }
 
  private:
+  static constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
+
+  /// Photographs may hold no interreflection at all (they were corrected before, or composed). If leaving it out explains them far better, it is left out.
+  void check_bounces(LightSolveOptions options, LightSolution& solution) {
+    options.bounce_mean = options.bounce_sd = 0;
+    Lights start = solution.lights;
+    start.bounce = 0;
+    LightSolution without = solve_lights(samples_, current_references(), options, start);
+    constexpr double kClearly = 0.8, kLeast = 10;   // share of the robust sum, and its difference in units of half a squared sigma
+    if (without.objective > kClearly * solution.objective || solution.objective - without.objective < kLeast) return;
+    without_bounces_ = true;
+    solution = std::move(without);
+  }
+
   Observation read(std::size_t k) const { return read_observation(observation_path(folder_, k), scene_.proxy.size()); }
 
   /// One pass over the photographs: completes their radiosity under the lights, refreshes the samples, and returns the new mean albedo.
@@ -378,7 +396,7 @@ class LightProblem {
   std::vector<ReferenceReading> references_;
   std::vector<LightSample> samples_;
   std::vector<float> albedo_;
-  bool use_pairs_ = false;
+  bool use_pairs_ = false, without_bounces_ = false;
 };
 
 /// The paper's solver on one photograph; its lights and the light it gathers from its own albedo.
@@ -501,6 +519,9 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
       report.end();
       for (std::size_t i = 0; i < photographs.size(); ++i) result.light_of_photograph.push_back(result.lights.size() - 1);
       albedo = problem.albedo();
+      if (problem.without_bounces())
+        result.notes.push_back(concat(input.names[photographs[0]], photographs.size() > 1 ? " and the others of the acquisition show" : " shows",
+                                      " no interreflection: bounced light was left out"));
       for (const std::uint16_t t : problem.times_seen()) result.proxy_seen += t > 0;
       if (problem.num_references() < input.references.size() && problems.size() == 1)
         result.notes.push_back(concat(input.references.size() - problem.num_references(), " reference targets cover no usable pixel and were left out"));

@@ -177,7 +177,7 @@ void add_priors(const Lights& x, const LightSolveOptions& options, const Layout&
     n.objective += 0.5 * w * r * r;
   }
   const int b = layout.bounce();
-  const double w = options.bounce_sd > 0 ? 1.0 / (options.bounce_sd * options.bounce_sd) : 1e12, r = x.bounce - 1;
+  const double w = options.bounce_sd > 0 ? 1.0 / (options.bounce_sd * options.bounce_sd) : 1e12, r = x.bounce - options.bounce_mean;
   n.a(b, b) += w;
   n.g[b] -= w * r;
   n.objective += 0.5 * w * r * r;
@@ -194,7 +194,7 @@ Lights stepped(const Lights& x, const VecP& step, const Layout& layout) {
   y.flash_intensity *= std::exp(std::clamp(step[0], -1.0, 1.0));
   for (int k = 0; k < layout.sky_terms; ++k) y.sky[static_cast<std::size_t>(k)] += step[1 + k];
   if (layout.sky_terms > 0) y.sky[0] = std::max(0.0, y.sky[0]);
-  y.bounce = std::clamp(y.bounce + step[layout.bounce()], 0.5, 2.0);
+  y.bounce = std::clamp(y.bounce + step[layout.bounce()], 0.0, 2.0);
   return y;
 }
 

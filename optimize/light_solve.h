@@ -40,7 +40,7 @@ struct ReferenceSample {
 struct LightSolveOptions {
   int sky_terms = 1;                          ///< 0, 1, 4 or 9
   std::optional<double> flash_ln_mean, flash_ln_sd;   ///< prior on ln flash_intensity
-  double bounce_sd = 0.05;                    ///< prior on bounce around 1; 0 = fixed
+  double bounce_mean = 1, bounce_sd = 0.05;   ///< prior on bounce; sd 0 = fixed at the mean
   double information = 1;                     ///< share of the samples' information that is independent (pairs overlap)
   int max_iterations = 60;
 };

@@ -130,7 +130,8 @@ class LayerColours final : public ColourSource {
     const stream::Chunk chunk = store_.read_chunk(leaf);
     for (std::uint32_t i = 0; i < chunk.count; ++i) block.position.push_back(chunk.surfel(i).position_in_world);
     if (has_albedo_) block.albedo = stream::read_albedo(layer_, store_, leaf).albedo;
-    if (has_colour_) read_colour(leaf, block.colour);
+    if (has_colour_)
+      for (const auto& code : stream::read_colour(layer_, store_, leaf)) block.colour.push_back(srgb_table()(code));
     return true;
   }
 

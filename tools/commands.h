@@ -9,6 +9,7 @@ namespace chiaro::tools {
 
 int run_compare(std::span<const std::string> args, Console&);
 int run_export(std::span<const std::string> args, Console&);
+int run_render(std::span<const std::string> args, Console&);
 int run_run(std::span<const std::string> args, Console&);
 int run_info(std::span<const std::string> args, Console&);
 int run_ingest(std::span<const std::string> args, Console&);

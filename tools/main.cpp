@@ -22,6 +22,7 @@ const Command kCommands[] = {
     {"info", "what a store holds", chiaro::tools::run_info},
     {"verify", "checks every byte of a store", chiaro::tools::run_verify},
     {"export", "a layer of a store to a point file", chiaro::tools::run_export},
+    {"render", "predicted photographs from a finished run", chiaro::tools::run_render},
     {"compare", "two pictures, or the colours of two clouds: how alike they are", chiaro::tools::run_compare},
 };
 

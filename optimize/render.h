@@ -1,0 +1,41 @@
+/// Predicted photographs: the albedo of a layer under any flash, with all light terms (Eq. 1 of the paper, with its 1/r^2 and 1/pi written out).
+#pragma once
+#include <filesystem>
+#include <string>
+
+#include "optimize/acquisition.h"
+#include "stream/store/layer.h"
+
+namespace chiaro::optimize {
+
+struct RenderView {
+  std::string name;
+  stream::Lens lens;
+  stream::Pose pose;
+  Vec3d flash_in_camera = Vec3d::Zero();   ///< project units
+  double flash_intensity = 1;              ///< W/sr
+  double ambient_scale = 1;                ///< factor on the acquisition's sky
+};
+
+enum class RenderMode {
+  kFull,     ///< flash, sky and bounces
+  kDirect,   ///< flash only
+  kAlbedo    ///< the albedo itself
+};
+
+struct RenderOptions {
+  RenderMode mode = RenderMode::kFull;
+  int subpixels = 4;
+  int scatterings = 12;   ///< surface scatterings of the bounced light
+};
+
+struct RenderStats {
+  std::uint64_t pixels = 0, pixels_hit = 0, pixels_without_albedo = 0;
+};
+
+/// Writes `picture` (EXR, half RGB, linear radiance; 0 where nothing is hit). Surfels that no photograph saw take the albedo of the proxy's nearest seen
+/// surfel. scene and proxy_albedo: of the acquisition whose lights these are. throws Error, Cancelled.
+RenderStats render(const stream::Store& store, const stream::Layer& layer, const Scene& scene, const std::vector<float>& proxy_albedo, const Lights& lights,
+                   const RenderView& view, const RenderOptions& options, const std::filesystem::path& picture, MemoryBudget& budget, Reporter& report);
+
+}  // namespace chiaro::optimize

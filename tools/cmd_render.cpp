@@ -1,0 +1,102 @@
+#include <nlohmann/json.hpp>
+#include <ostream>
+
+#include "optimize/proxy_file.h"
+#include "optimize/render.h"
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/base/parallel.h"
+#include "tools/args.h"
+#include "tools/commands.h"
+#include "tools/resources.h"
+#include "tools/run_folder.h"
+#include "tools/views.h"
+
+namespace chiaro::tools {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Json read_json(const std::filesystem::path& path) {
+  const Json j = Json::parse(read_text(path), nullptr, false);
+  if (j.is_discarded()) throw Error(concat(path.string(), ": is not JSON"));
+  return j;
+}
+
+/// The lights of the first acquisition that has some, and where its transport lies.
+struct RunLights {
+  std::string acquisition;
+  optimize::Lights lights;
+  Vec3d flash_in_camera = Vec3d::Zero();
+};
+
+RunLights read_lights(const RunFolder& folder) {
+  const Json lights = read_json(folder.lights()), project = read_json(folder.project());
+  try {
+    for (const Json& a : lights.at("acquisitions")) {
+      const Json* found = a.contains("flash_intensity") ? &a : a.contains("photographs") && !a["photographs"].empty() ? &a["photographs"][0] : nullptr;
+      if (!found) continue;
+      RunLights r;
+      r.acquisition = a.at("acquisition");
+      r.lights.flash_intensity = found->at("flash_intensity");
+      r.lights.sky = found->at("sky").get<std::array<double, optimize::kSkyTerms>>();
+      r.lights.bounce = found->at("bounce");
+      for (const Json& p : project.at("acquisition"))
+        if (p.at("name") == r.acquisition && !p.at("flash").is_null())
+          for (int i = 0; i < 3; ++i) r.flash_in_camera[i] = p.at("flash").at("offset_in_camera").at(static_cast<std::size_t>(i));
+      return r;
+    }
+  } catch (const nlohmann::json::exception& e) {
+    throw Error(concat(folder.lights().string(), ": not the lights of a run: ", e.what()));
+  }
+  throw Error(concat(folder.root.string(), ": the run solved no lights (solve.method = \"none\"); only --albedo can be rendered"));
+}
+
+}  // namespace
+
+int run_render(std::span<const std::string> words, Console& console) {
+  Args args("render", "Predicts photographs from a finished run: for each view an EXR of linear radiance with all light terms.");
+  std::string dir, views_file, out;
+  bool only_albedo = false, only_direct = false;
+  std::uint64_t memory = std::uint64_t{2} << 30;
+  int threads = 0;
+  args.positional("DIR", dir, "folder of a finished run");
+  args.option("--views", views_file, "cameras to render from, see docs/project-file.md", "VIEWS.toml");
+  args.option("-o,--out", out, "folder for the pictures, NAME.exr each", "DIR");
+  args.flag("--albedo", only_albedo, "the albedo itself, without light");
+  args.flag("--direct", only_direct, "flash only: no ambient light, no bounces");
+  args.require("--views");
+  args.require("--out");
+  args.resources(memory, threads);
+  args.common(console);
+  if (!args.parse(words, console)) return 0;
+  if (only_albedo && only_direct) throw UsageError("--albedo and --direct exclude each other");
+
+  const std::vector<ViewInput> views = load_views(views_file);
+  const RunFolder folder{std::filesystem::absolute(dir)};
+  const ThreadLimit limit(threads);
+  MemoryBudget budget(budget_bytes(memory));
+  const stream::Store store(folder.store());
+  const stream::Layer layer(store, "albedo");
+  optimize::RenderOptions options;
+  options.mode = only_albedo ? optimize::RenderMode::kAlbedo : only_direct ? optimize::RenderMode::kDirect : optimize::RenderMode::kFull;
+  const RunLights lights = read_lights(folder);
+  const optimize::Scene scene = optimize::load_scene(store, folder.acquisition(lights.acquisition));
+  const std::vector<float> proxy_albedo = optimize::read_floats(optimize::proxy_albedo_path(folder.acquisition(lights.acquisition)), 3 * scene.proxy.size());
+  make_folder(out);
+  Json results = Json::array();
+  for (const ViewInput& v : views) {
+    optimize::RenderView view{v.name, v.lens, v.pose, v.flash_offset_in_camera.value_or(lights.flash_in_camera), v.flash_intensity.value_or(lights.lights.flash_intensity), v.ambient_scale};
+    const std::filesystem::path picture = std::filesystem::path(out) / (v.name + ".exr");
+    const optimize::RenderStats s = optimize::render(store, layer, scene, proxy_albedo, lights.lights, view, options, picture, budget, console.report());
+    results.push_back({{"view", v.name}, {"file", picture.string()}, {"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_without_albedo", s.pixels_without_albedo}});
+    if (!console.json) {
+      console.clear_line();
+      console.out() << picture.string() << "\n";
+    }
+  }
+  if (console.json) console.result(Json{{"views", results}}.dump());
+  return 0;
+}
+
+}  // namespace chiaro::tools
