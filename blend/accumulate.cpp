@@ -38,15 +38,16 @@ std::uint32_t crc_of(const DoneRecord& d) { return crc32c(&d, offsetof(DoneRecor
 
 void add_sample(Accumulator& sum, const Sample& sample, float high_band_power) {
   // A reading that contradicts the others is not yet down-weighted: robust rejection multiplies `low` and `high` here.
-  const float low = sample.weight, high = std::pow(sample.weight, high_band_power);
+  const float low = sample.weight;
+  const double high = std::pow(static_cast<double>(sample.weight), static_cast<double>(high_band_power)), high_deviation = high * static_cast<double>(sample.sigma);
   sum.low_weight += low;
   sum.high_weight += high;
   for (int c = 0; c < 3; ++c) {
     sum.low[c] += low * sample.low[c];
-    sum.high[c] += high * sample.high[c];
+    sum.high[c] += high * static_cast<double>(sample.high[c]);
   }
   sum.low_variance += (low * sample.sigma) * (low * sample.sigma);
-  sum.high_variance += (high * sample.sigma) * (high * sample.sigma);
+  sum.high_variance += high_deviation * high_deviation;
   ++sum.photographs;
 }
 
@@ -54,11 +55,10 @@ BlendedSurfel resolve(const Accumulator& sum, float shared_sigma) {
   constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
   BlendedSurfel result{Vec3f::Constant(kNaN), kNaN, 0};
   if (sum.photographs == 0 || !(sum.low_weight > 0)) return result;
-  // Weights so small that their power vanishes leave the high band to the low one's weights: nothing is added then.
-  for (int c = 0; c < 3; ++c) result.albedo[c] = sum.low[c] / sum.low_weight + (sum.high_weight > 0 ? sum.high[c] / sum.high_weight : 0.0f);
+  for (int c = 0; c < 3; ++c) result.albedo[c] = sum.low[c] / sum.low_weight + static_cast<float>(sum.high_weight > 0 ? sum.high[c] / sum.high_weight : 0);
   // Slow errors average with the low band's weights, pixel noise with the high band's; the larger one speaks.
   const float low = std::sqrt(sum.low_variance) / sum.low_weight;
-  const float high = sum.high_weight > 0 ? std::sqrt(sum.high_variance) / sum.high_weight : 0.0f;
+  const auto high = static_cast<float>(sum.high_weight > 0 ? std::sqrt(sum.high_variance) / sum.high_weight : 0);
   const float independent = std::max(low, high);
   result.sigma = std::sqrt(independent * independent + shared_sigma * shared_sigma);
   result.photographs = static_cast<std::uint16_t>(std::min<std::uint32_t>(sum.photographs, 65535));

@@ -15,13 +15,15 @@
 
 namespace chiaro::blend {
 
+/// The high band's sums are double for their range, not their precision: weights reach down to 1e-12 beside borders and are raised to p, then squared.
 struct Accumulator {
+  double high_weight = 0, high[3] = {0, 0, 0};   ///< sum of w^p, w^p * high band
+  double high_variance = 0;                      ///< sum of (w^p sigma)^2
   float low_weight = 0, low[3] = {0, 0, 0};      ///< sum of w, w * low band
-  float high_weight = 0, high[3] = {0, 0, 0};    ///< sum of w^p, w^p * high band
-  float low_variance = 0, high_variance = 0;     ///< sum of (w sigma)^2, (w^p sigma)^2
+  float low_variance = 0;                        ///< sum of (w sigma)^2
   std::uint32_t photographs = 0;
 };
-static_assert(sizeof(Accumulator) == 44);
+static_assert(sizeof(Accumulator) == 64);
 
 /// Adds one photograph's reading.
 void add_sample(Accumulator& sum, const Sample& sample, float high_band_power);

@@ -8,98 +8,103 @@
 namespace chiaro::blend {
 namespace {
 
-constexpr int kChannels = FilterPixel::kChannels;
-// 2^-30 of a unit: values up to 2^16 over lines of 2^16 pixels stay within 63 bits.
-constexpr double kQuantum = 1.0 / (1 << 30), kMaxValue = 65536;
+constexpr int kLevels = 5;                // blocks of 1 .. kPyramidRows pixels
+constexpr float kLeastRadiusBlocks = 4;   // a coarser level is taken from twice this radius on
 
-std::int64_t to_integer(float v) {
-  const double limited = std::clamp(static_cast<double>(v), -kMaxValue, kMaxValue);
-  return std::llround(limited / kQuantum);
+float radius_in_pixels(float radius, float footprint) { return std::min(kMaxLowRadiusPx, radius / footprint); }
+
+int level_for(float radius_px) {
+  int level = 0;
+  while (level + 1 < kLevels && radius_px >= 2 * kLeastRadiusBlocks * static_cast<float>(1 << level)) ++level;
+  return level;
 }
 
-/// One line of the image with its running sums; buffers are reused from line to line.
-struct Line {
-  std::vector<std::int64_t> sum;      // (n + 1) * kChannels
-  std::vector<int> first, last;       // of the uninterrupted piece that each pixel belongs to
-  std::vector<float> half;
-
-  explicit Line(std::size_t n) : sum((n + 1) * kChannels), first(n), last(n), half(n) {}
-};
-
-template <class Pixel, class Step, class Stop>
-void smooth_line(Line& line, int n, const Pixel& pixel, const Step& half, const Stop& stops_after) {
-  for (int c = 0; c < kChannels; ++c) line.sum[static_cast<std::size_t>(c)] = 0;
-  for (int i = 0; i < n; ++i) {
-    const std::size_t at = static_cast<std::size_t>(i) * kChannels;
-    for (int c = 0; c < kChannels; ++c)
-      line.sum[at + kChannels + static_cast<std::size_t>(c)] = line.sum[at + static_cast<std::size_t>(c)] + to_integer(pixel(i).value[c]);
-    line.first[static_cast<std::size_t>(i)] = i > 0 && !stops_after(i - 1) ? line.first[static_cast<std::size_t>(i - 1)] : i;
-    line.half[static_cast<std::size_t>(i)] = half(i);
+/// Mean of up to four samples by area; those far from the largest belong to another surface.
+SurfacePixel merged(const SurfacePixel* const* children, int count, float radius) {
+  const SurfacePixel* largest = children[0];
+  for (int i = 1; i < count; ++i)
+    if (children[i]->area > largest->area) largest = children[i];
+  SurfacePixel sum;
+  if (!(largest->area > 0)) return sum;
+  for (int i = 0; i < count; ++i) {
+    const SurfacePixel& c = *children[i];
+    if (!(c.area > 0) || (c.position - largest->position).squaredNorm() > 0.25f * radius * radius) continue;
+    sum.area += c.area;
+    sum.position += c.area * c.position;
+    sum.albedo += c.area * c.albedo;
+    sum.normal += c.area * c.normal;
+    sum.quality += c.area * c.quality;
+    sum.cosv += c.area * c.cosv;
   }
-  for (int i = n - 1; i >= 0; --i) line.last[static_cast<std::size_t>(i)] = i + 1 < n && !stops_after(i) ? line.last[static_cast<std::size_t>(i + 1)] : i;
-
-  for (int i = 0; i < n; ++i) {
-    // The box [i + 0.5 - h, i + 0.5 + h] cut to the piece; pixels at its two ends count by the share that lies inside.
-    const double h = std::max(0.5f, line.half[static_cast<std::size_t>(i)]);
-    const double lo = std::max<double>(i + 0.5 - h, line.first[static_cast<std::size_t>(i)]);
-    const double hi = std::min<double>(i + 0.5 + h, line.last[static_cast<std::size_t>(i)] + 1);
-    const int first_whole = static_cast<int>(std::ceil(lo)), end_whole = static_cast<int>(std::floor(hi));
-    const double share_lo = first_whole - lo, share_hi = hi - end_whole, scale = kQuantum / (2 * h);
-    const auto at = [&](int k, int c) { return line.sum[static_cast<std::size_t>(k) * kChannels + static_cast<std::size_t>(c)]; };
-    for (int c = 0; c < kChannels; ++c) {
-      double sum = static_cast<double>(at(end_whole, c) - at(first_whole, c));
-      if (share_lo > 0) sum += share_lo * static_cast<double>(at(first_whole, c) - at(first_whole - 1, c));
-      if (share_hi > 0) sum += share_hi * static_cast<double>(at(end_whole + 1, c) - at(end_whole, c));
-      pixel(i).value[c] = static_cast<float>(sum * scale);
-    }
-  }
-}
-
-void smooth_rows(std::span<FilterPixel> pixels, std::span<const FilterStep> steps, int width, int rows) {
-  parallel_blocks(static_cast<std::size_t>(rows), 8, [&](std::size_t y0, std::size_t y1) {
-    Line line(static_cast<std::size_t>(width));
-    for (std::size_t y = y0; y < y1; ++y) {
-      FilterPixel* p = &pixels[y * static_cast<std::size_t>(width)];
-      const FilterStep* s = &steps[y * static_cast<std::size_t>(width)];
-      smooth_line(line, width, [&](int i) -> FilterPixel& { return p[i]; }, [&](int i) { return s[i].half_x; }, [&](int i) { return s[i].stop_right; });
-    }
-  });
-}
-
-void smooth_columns(std::span<FilterPixel> pixels, std::span<const FilterStep> steps, int width, int rows) {
-  parallel_blocks(static_cast<std::size_t>(width), 16, [&](std::size_t x0, std::size_t x1) {
-    Line line(static_cast<std::size_t>(rows));
-    const auto stride = static_cast<std::size_t>(width);
-    for (std::size_t x = x0; x < x1; ++x) {
-      const auto index = [&](int i) { return static_cast<std::size_t>(i) * stride + x; };
-      smooth_line(line, rows, [&](int i) -> FilterPixel& { return pixels[index(i)]; }, [&](int i) { return steps[index(i)].half_y; },
-                  [&](int i) { return steps[index(i)].stop_below; });
-    }
-  });
+  const float scale = 1 / sum.area;
+  sum.position *= scale;
+  sum.albedo *= scale;
+  sum.normal *= scale;
+  sum.quality *= scale;
+  sum.cosv *= scale;
+  return sum;
 }
 
 }  // namespace
 
-Vec2f box_half_widths(float radius, float footprint, const Vec3f& n) {
-  if (!(footprint > 0)) return Vec2f::Zero();
-  // A disc with unit normal n reaches radius * sqrt(1 - n_x^2) along x; two boxes of half that give the tent.
-  const float half = 0.5f * std::min(kMaxLowRadiusPx, radius / footprint);
-  return {half * std::sqrt(std::max(0.0f, 1 - n.x() * n.x())), half * std::sqrt(std::max(0.0f, 1 - n.y() * n.y()))};
+SurfacePyramid::Level SurfacePyramid::halve(const Level& fine, float radius) {
+  Level coarse{(fine.width + 1) / 2, (fine.rows + 1) / 2, {}};
+  coarse.blocks.resize(static_cast<std::size_t>(coarse.width) * static_cast<std::size_t>(coarse.rows));
+  parallel_blocks(static_cast<std::size_t>(coarse.rows), 8, [&](std::size_t y0, std::size_t y1) {
+    for (auto y = static_cast<int>(y0); y < static_cast<int>(y1); ++y)
+      for (int x = 0; x < coarse.width; ++x) {
+        const SurfacePixel* children[4];
+        int count = 0;
+        for (int v = 2 * y; v < std::min(fine.rows, 2 * y + 2); ++v)
+          for (int u = 2 * x; u < std::min(fine.width, 2 * x + 2); ++u) children[count++] = &fine.at(u, v);
+        coarse.blocks[static_cast<std::size_t>(y) * static_cast<std::size_t>(coarse.width) + static_cast<std::size_t>(x)] = merged(children, count, radius);
+      }
+  });
+  return coarse;
 }
 
-bool depth_breaks(const DepthSample& a, const DepthSample& b) {
-  if (!(a.depth > 0 && b.depth > 0)) return true;
-  const float c = std::max(0.05f, std::min(a.cosv, b.cosv));
-  const float slope = std::sqrt(std::max(0.0f, 1 - c * c)) / c;
-  const float allowed = 2 * std::max(a.footprint, b.footprint) * (0.5f + slope) + std::max(a.radius, b.radius);
-  return !(std::abs(a.depth - b.depth) <= allowed);
+SurfacePyramid::SurfacePyramid(std::vector<SurfacePixel> pixels, int width, int rows, float radius) : radius_(radius) {
+  levels_.push_back({width, rows, std::move(pixels)});
+  while (levels_.size() < kLevels) levels_.push_back(halve(levels_.back(), radius));
 }
 
-void smooth_surface(std::span<FilterPixel> pixels, std::span<const FilterStep> steps, int width, int rows) {
-  for (int pass = 0; pass < 2; ++pass) {
-    smooth_columns(pixels, steps, width, rows);
-    smooth_rows(pixels, steps, width, rows);
+SurfaceMean SurfacePyramid::mean(int x, int y, float footprint) const {
+  SurfaceMean result;
+  const SurfacePixel& centre = pixel(x, y);
+  if (!(centre.area > 0) || !(footprint > 0)) return result;
+  const float radius_px = radius_in_pixels(radius_, footprint), inverse_radius = 1 / (radius_px * footprint);
+  const int level = level_for(radius_px), reach = static_cast<int>(std::ceil(radius_px / static_cast<float>(1 << level))) + 1;
+  const Level& blocks = levels_[static_cast<std::size_t>(level)];
+  const int x0 = std::max(0, (x >> level) - reach), x1 = std::min(blocks.width - 1, (x >> level) + reach);
+  const int y0 = std::max(0, (y >> level) - reach), y1 = std::min(blocks.rows - 1, (y >> level) + reach);
+  float weights = 0, facing_weights = 0;
+  for (int v = y0; v <= y1; ++v) {
+    const SurfacePixel* row = &blocks.at(0, v);
+    for (int u = x0; u <= x1; ++u) {
+      const SurfacePixel& b = row[u];
+      const float distance = (b.position - centre.position).norm() * inverse_radius;
+      if (!(distance < 1) || !(b.area > 0)) continue;
+      const float w = (1 - distance) * b.area;
+      weights += w;
+      result.albedo += w * b.albedo;
+      const float facing = w * std::max(0.0f, b.normal.dot(centre.normal));
+      facing_weights += facing;
+      result.quality += facing * b.quality;
+      result.cosv += facing * b.cosv;
+    }
   }
+  if (!(weights > 0)) return {centre.albedo, centre.quality, centre.cosv, true};   // a block whose middle lies beyond the radius: the pixel speaks for itself
+  result.albedo /= weights;
+  result.quality = facing_weights > 0 ? result.quality / facing_weights : centre.quality;
+  result.cosv = facing_weights > 0 ? result.cosv / facing_weights : centre.cosv;
+  result.valid = true;
+  return result;
+}
+
+int reach_rows(float radius, float smallest_footprint) {
+  if (!(smallest_footprint > 0)) return 0;
+  const float radius_px = radius_in_pixels(radius, smallest_footprint);
+  return static_cast<int>(std::ceil(radius_px)) + 3 * (1 << level_for(radius_px));
 }
 
 std::vector<float> distance_to_marked(std::span<const std::uint8_t> marked, int width, int rows, float cap) {

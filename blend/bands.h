@@ -1,9 +1,9 @@
 /// The split of an image into a low and a high band at a fixed scale on the surface, not in the image.
 ///
-/// The low band is a mean over about the same piece of surface in every photograph: two photographs at different distances or angles split at the same
-/// detail. Filter: two box passes a direction (together a tent), whose half-width follows the footprint and slant of each pixel, and which stop at depth
-/// discontinuities. Running sums make the cost independent of the radius; they are integers, so the result of a pixel does not depend on where
-/// the window of rows begins.
+/// The low band of a pixel is the mean of the albedo over the surface within a ball of fixed radius around the pixel's own surface point; pixels count by
+/// the area that they cover. Distance, slant, creases and silhouettes need no special case, and two photographs of the same place get the same low band
+/// but for what only one of them sees. Measured on a rendered tower (difference between the low bands of two photographs of one surfel): 0.15-0.45 % of the
+/// albedo, against 0.4-0.7 % for box filters in the image whose widths follow footprint and slant; those added a tenth to the final error.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -14,32 +14,46 @@
 namespace chiaro::blend {
 
 inline constexpr float kMaxLowRadiusPx = 64;   ///< beyond it the low band of a very near photograph is split finer than on the others
+inline constexpr int kPyramidRows = 16;        ///< windows begin and end at multiples of this many rows, so that all windows share the same blocks
 
-/// A value per pixel with its weight; channels are premultiplied by it while they are filtered.
-struct FilterPixel {
-  static constexpr int kChannels = 5;
-  float value[kChannels] = {0, 0, 0, 0, 0};   ///< r g b, quality, weight (0 or 1: takes part or not)
+/// What a pixel, or a block of pixels, shows. area 0: nothing.
+struct SurfacePixel {
+  Vec3f position = Vec3f::Zero();   ///< relative to the camera, project units
+  float area = 0;                   ///< surface covered, any unit common to the image
+  Vec3f albedo = Vec3f::Zero();
+  Vec3f normal = Vec3f::Zero();
+  float quality = 0, cosv = 0;
 };
 
-/// How far the filter reaches from a pixel, and where it must stop.
-struct FilterStep {
-  float half_x = 0, half_y = 0;  ///< half-widths of the boxes, pixels
-  bool stop_right = true;        ///< discontinuity between this pixel and the next in the row
-  bool stop_below = true;        ///< and the next in the column
+/// Means over the surface around a pixel.
+struct SurfaceMean {
+  Vec3f albedo = Vec3f::Zero();
+  float quality = 0, cosv = 0;      ///< over the part of the surroundings that faces the same way: the other side of a crease says nothing about this one
+  bool valid = false;
 };
 
-/// Half-widths of the boxes that cover a disc of `radius` (project units) on a surface with this normal (camera frame) and footprint.
-Vec2f box_half_widths(float radius, float footprint, const Vec3f& normal_in_camera);
+/// Pixels and their means over blocks of 2, 4, 8, 16 pixels, so that a mean takes about as many samples at any radius.
+class SurfacePyramid {
+ public:
+  /// pixels: row-major, whole rows; the first row is a multiple of kPyramidRows in the image. Samples farther apart than radius / 2 share no block.
+  SurfacePyramid(std::vector<SurfacePixel> pixels, int width, int rows, float radius);
+  /// footprint: side of this pixel on the surface, across the view.
+  SurfaceMean mean(int x, int y, float footprint) const;
+  const SurfacePixel& pixel(int x, int y) const { return levels_[0].at(x, y); }
 
-/// Whether the surface is interrupted between two neighbouring pixels. Only local lengths decide: footprint, slant and surfel radius.
-struct DepthSample {
-  float depth = 0, footprint = 0, cosv = 0, radius = 0;
+ private:
+  struct Level {
+    int width = 0, rows = 0;
+    std::vector<SurfacePixel> blocks;
+    const SurfacePixel& at(int x, int y) const { return blocks[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)]; }
+  };
+  static Level halve(const Level& fine, float radius);
+  std::vector<Level> levels_;
+  float radius_ = 0;
 };
-bool depth_breaks(const DepthSample& a, const DepthSample& b);
 
-/// Filters in place; row-major, width * rows pixels. Afterwards value / weight is the mean. Same bits for any thread count.
-/// A row's result is final where all rows within 2 * half_y exist above and below it.
-void smooth_surface(std::span<FilterPixel> pixels, std::span<const FilterStep> steps, int width, int rows);
+/// Rows that mean() reaches beyond a pixel at most, where no footprint is smaller than this one.
+int reach_rows(float radius, float smallest_footprint);
 
 /// Euclidean distance to the nearest marked pixel, at most `cap` (pixels). Rows nearer than cap to the window's end see only what is inside it.
 std::vector<float> distance_to_marked(std::span<const std::uint8_t> marked, int width, int rows, float cap);

@@ -189,7 +189,7 @@ class Blender {
       const int held = std::min(rasters.height(), y1 + 1 + halo) - std::max(0, y0 - 1 - halo);
       BudgetLease window_lease(budget_, static_cast<std::uint64_t>(held) * static_cast<std::uint64_t>(rasters.width()) * window_bytes_per_pixel(),
                                concat("rows of photograph ", photograph.name));
-      const PhotoWindow window = load_window(rasters, photograph.camera.pose, y0, y1, halo, window_options_);
+      const PhotoWindow window = load_window(rasters, photograph.camera, y0, y1, halo, window_options_);
       const std::size_t at_once = tasks_at_once(visited.size());
       const BudgetLease leaf_lease(budget_, at_once * leaf_bytes(largest_leaf_, photographs_.size()), "leaves of the blend");
       run_tasks(visited.size(), at_once, [&](std::size_t i) { add_to_leaf(visited[i], k, photograph.camera, window, y0, y1); });
@@ -248,7 +248,7 @@ void BlendOptions::validate() const {
   if (layer.empty()) throw std::invalid_argument("BlendOptions: layer has no name");
   if (!(low_band_px >= 1 && low_band_px <= kMaxLowRadiusPx)) throw std::invalid_argument("BlendOptions: low_band_px must be in 1 .. 64");
   if (!(border_px >= 1 && border_px <= 64)) throw std::invalid_argument("BlendOptions: border_px must be in 1 .. 64");
-  if (!(high_band_power >= 1 && high_band_power <= 16)) throw std::invalid_argument("BlendOptions: high_band_power must be in 1 .. 16");
+  if (!(high_band_power >= 1 && high_band_power <= 8)) throw std::invalid_argument("BlendOptions: high_band_power must be in 1 .. 8");
   if (!(shared_sigma >= 0)) throw std::invalid_argument("BlendOptions: shared_sigma must not be negative");
 }
 

@@ -1,7 +1,6 @@
 #include "blend/photo_window.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 
 #include "blend/view_weights.h"
@@ -24,8 +23,7 @@ void check_raster(const stream::RasterReader& raster, const std::filesystem::pat
 struct Preparation {
   int width = 0, y0 = 0, rows = 0;
   std::vector<WindowPixel> pixels;
-  std::vector<FilterPixel> filter;
-  std::vector<FilterStep> steps;
+  std::vector<SurfacePixel> surface;
   std::vector<float> cosv, edge;
   std::vector<std::uint8_t> masked, saturated;
   std::size_t size() const { return static_cast<std::size_t>(width) * static_cast<std::size_t>(rows); }
@@ -61,70 +59,50 @@ void read_mask(const PhotographRasters& rasters, Preparation& p) {
   }
 }
 
-/// Albedo and quality where the pixel may be used; everything 0 elsewhere.
-void read_values(const PhotographRasters& rasters, Preparation& p, const WindowOptions& options) {
+/// Albedo, quality and place on the surface of the pixels that may be used.
+void read_values(const PhotographRasters& rasters, Preparation& p, const stream::Lens& lens, const WindowOptions& options) {
   const stream::RasterReader& a = rasters.albedo();
-  constexpr std::array<const char*, 3> kColour{"r", "g", "b"};
-  for (int c = 0; c < 3; ++c) for_plane(a, kColour[static_cast<std::size_t>(c)], p, [&](std::size_t i, float v) { p.filter[i].value[c] = v; });
+  for_plane(a, "r", p, [&](std::size_t i, float v) { p.pixels[i].low.x() = v; });   // the albedo itself until the bands are split
+  for_plane(a, "g", p, [&](std::size_t i, float v) { p.pixels[i].low.y() = v; });
+  for_plane(a, "b", p, [&](std::size_t i, float v) { p.pixels[i].low.z() = v; });
   for_plane(a, "sigma", p, [&](std::size_t i, float v) { p.pixels[i].sigma = v; });
-  const auto coverage = rasters.gbuffer().rows<float>("coverage", p.y0, p.rows);
-  std::vector<float> spread(rasters.gbuffer().has("spread") ? 0 : p.size(), 0.0f);
-  if (spread.empty()) spread = rasters.gbuffer().rows<float>("spread", p.y0, p.rows);
-  parallel_blocks(p.size(), 1 << 15, [&](std::size_t begin, std::size_t end) {
+  const stream::RasterReader& g = rasters.gbuffer();
+  const auto coverage = g.rows<float>("coverage", p.y0, p.rows);
+  const auto spread = g.has("spread") ? g.rows<float>("spread", p.y0, p.rows) : std::vector<float>();
+  p.surface.resize(p.size());
+  parallel_blocks(p.size(), 1 << 14, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       WindowPixel& pixel = p.pixels[i];
-      FilterPixel& f = p.filter[i];
-      const float quality =
-          pixel_quality({.cosv = p.cosv[i], .footprint = pixel.footprint, .sigma = pixel.sigma, .spread = spread[i], .coverage = coverage[i]}, options.reference_footprint);
-      const bool usable = pixel.depth > 0 && !p.masked[i] && !p.saturated[i] && std::isfinite(f.value[0]) && std::isfinite(f.value[1]) &&
-                          std::isfinite(f.value[2]) && pixel.normal.allFinite() && std::isfinite(pixel.radius) && quality > 0;
-      if (!usable) {
-        f = FilterPixel{};
+      const float quality = pixel_quality({.footprint = pixel.footprint, .sigma = pixel.sigma, .spread = spread.empty() ? 0 : spread[i], .coverage = coverage[i]},
+                                          options.reference_footprint);
+      if (!(pixel.depth > 0) || p.masked[i] || p.saturated[i] || !pixel.low.allFinite() || !pixel.normal.allFinite() || !std::isfinite(pixel.radius) ||
+          !(p.edge[i] > 0) || !(p.cosv[i] > kLeastViewCos) || !(quality > 0))
         continue;
-      }
+      const Vec2d middle(static_cast<double>(i % static_cast<std::size_t>(p.width)) + 0.5, static_cast<double>(i / static_cast<std::size_t>(p.width)) + p.y0 + 0.5);
+      const auto direction = stream::unproject(lens, middle);
+      if (!direction) continue;
       if (!std::isfinite(pixel.sigma)) pixel.sigma = 1;
-      pixel.low = {f.value[0], f.value[1], f.value[2]};   // the albedo itself until the bands are split
-      f.value[3] = quality;
-      f.value[4] = 1;
+      const float side = pixel.footprint / options.reference_footprint;
+      p.surface[i] = {Vec3f((*direction * static_cast<double>(pixel.depth)).cast<float>()), side * side / p.cosv[i], pixel.low, pixel.normal, quality, p.cosv[i]};
     }
   });
 }
 
-void set_steps(Preparation& p, const Mat3d& rotation_camera_from_world, const WindowOptions& options) {
-  const Eigen::Matrix3f rotation = rotation_camera_from_world.cast<float>();
-  const auto stride = static_cast<std::size_t>(p.width);
-  const auto sample = [&](std::size_t i) { return DepthSample{p.pixels[i].depth, p.pixels[i].footprint, p.cosv[i], p.pixels[i].radius}; };
-  parallel_blocks(static_cast<std::size_t>(p.rows), 16, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t y = begin; y < end; ++y)
-      for (std::size_t x = 0; x < stride; ++x) {
-        const std::size_t i = y * stride + x;
-        FilterStep& s = p.steps[i];
-        if (!(p.pixels[i].depth > 0)) continue;
-        const Vec2f half = box_half_widths(options.low_radius, p.pixels[i].footprint, Vec3f(rotation * p.pixels[i].normal));
-        s.half_x = half.x();
-        s.half_y = half.y();
-        s.stop_right = x + 1 >= stride || depth_breaks(sample(i), sample(i + 1));
-        s.stop_below = y + 1 >= static_cast<std::size_t>(p.rows) || depth_breaks(sample(i), sample(i + stride));
-      }
-  });
-}
-
-void split_bands(Preparation& p, const WindowOptions& options) {
+void split_bands(Preparation& p, const WindowOptions& options, int first, int last) {
   const auto to_mask = distance_to_marked(p.masked, p.width, p.rows, options.border_px);
   const auto to_saturated = distance_to_marked(p.saturated, p.width, p.rows, saturation_ramp_px(options.border_px));
-  parallel_blocks(p.size(), 1 << 15, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) {
-      const FilterPixel& f = p.filter[i];
-      WindowPixel& pixel = p.pixels[i];
-      const float weight = f.value[4];
-      const bool usable = pixel.weight > 0 && weight > 0;
-      pixel.weight = 0;
-      if (!usable) continue;
-      const Vec3f albedo = pixel.low;
-      pixel.low = Vec3f(f.value[0], f.value[1], f.value[2]) / weight;
-      pixel.high = albedo - pixel.low;
-      pixel.weight = f.value[3] / weight * pixel_ramp({.edge_px = p.edge[i], .mask_px = to_mask[i], .saturated_px = to_saturated[i]}, options.border_px);
-    }
+  const SurfacePyramid surface(std::move(p.surface), p.width, p.rows, options.low_radius);
+  parallel_blocks(static_cast<std::size_t>(last - first), 2, [&](std::size_t y0, std::size_t y1) {
+    for (int y = first + static_cast<int>(y0); y < first + static_cast<int>(y1); ++y)
+      for (int x = 0; x < p.width; ++x) {
+        const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(p.width) + static_cast<std::size_t>(x);
+        WindowPixel& pixel = p.pixels[i];
+        const SurfaceMean mean = surface.mean(x, y, pixel.footprint);
+        if (!mean.valid) continue;
+        pixel.high = pixel.low - mean.albedo;
+        pixel.low = mean.albedo;
+        pixel.weight = mean.quality * angle_weight(mean.cosv) * pixel_ramp({.edge_px = p.edge[i], .mask_px = to_mask[i], .saturated_px = to_saturated[i]}, options.border_px);
+      }
   });
 }
 
@@ -180,38 +158,33 @@ FootprintHistogram footprints(const PhotographRasters& rasters) {
 }
 
 int halo_rows(const WindowOptions& options, float smallest_footprint) {
-  const float reach = smallest_footprint > 0 ? 2 * box_half_widths(options.low_radius, smallest_footprint, Vec3f::Zero()).x() : 0;
-  return static_cast<int>(std::ceil(std::max(reach + 1, options.border_px))) + 2;
+  const int reach = std::max(reach_rows(options.low_radius, smallest_footprint), static_cast<int>(std::ceil(options.border_px)) + 1);
+  return reach + kPyramidRows;   // the window begins and ends at whole blocks
 }
 
 std::size_t window_bytes_per_pixel() {
-  // pixel, filter, steps, cosv and edge, masks, two distances with their work array or up to two planes on the way in
-  return sizeof(WindowPixel) + sizeof(FilterPixel) + sizeof(FilterStep) + 2 * sizeof(float) + 2 + 3 * sizeof(float);
+  // pixel, surface and its coarser levels, cosv and edge, masks, two distances with their work array or two planes on the way in
+  return sizeof(WindowPixel) + sizeof(SurfacePixel) * 4 / 3 + 2 * sizeof(float) + 2 + 3 * sizeof(float);
 }
 
-PhotoWindow load_window(const PhotographRasters& rasters, const stream::Pose& pose, int y0, int y1, int halo, const WindowOptions& options) {
+PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int halo, const WindowOptions& options) {
   Preparation p;
   p.width = rasters.width();
-  p.y0 = std::max(0, y0 - 1 - halo);
-  p.rows = std::min(rasters.height(), y1 + 1 + halo) - p.y0;
-  p.pixels.resize(p.size());
-  p.filter.resize(p.size());
-  read_geometry(rasters, p);
-  read_mask(rasters, p);
-  read_values(rasters, p, options);
-  p.steps.resize(p.size());
-  set_steps(p, pose.rotation_camera_from_world, options);
-  for (std::size_t i = 0; i < p.size(); ++i) p.pixels[i].weight = p.filter[i].value[4];
-  smooth_surface(p.filter, p.steps, p.width, p.rows);
-  split_bands(p, options);
-
+  p.y0 = std::max(0, y0 - 1 - halo + kPyramidRows - 1) / kPyramidRows * kPyramidRows;
+  p.rows = std::min(rasters.height(), (y1 + 1 + halo) / kPyramidRows * kPyramidRows) - p.y0;
   PhotoWindow window;
   window.width = p.width;
   window.y0 = std::max(0, y0 - 1);
   window.rows = std::min(rasters.height(), y1 + 1) - window.y0;
-  const auto stride = static_cast<std::size_t>(p.width);
-  const auto begin = p.pixels.begin() + static_cast<std::ptrdiff_t>(static_cast<std::size_t>(window.y0 - p.y0) * stride);
-  p.pixels.erase(begin + static_cast<std::ptrdiff_t>(static_cast<std::size_t>(window.rows) * stride), p.pixels.end());
+  const int first = window.y0 - p.y0;
+
+  p.pixels.resize(p.size());
+  read_geometry(rasters, p);
+  read_mask(rasters, p);
+  read_values(rasters, p, camera.lens, options);
+  split_bands(p, options, first, first + window.rows);
+  const auto begin = p.pixels.begin() + static_cast<std::ptrdiff_t>(first) * p.width;
+  p.pixels.erase(begin + static_cast<std::ptrdiff_t>(window.rows) * p.width, p.pixels.end());
   p.pixels.erase(p.pixels.begin(), begin);
   window.pixels = std::move(p.pixels);
   return window;

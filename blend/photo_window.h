@@ -71,6 +71,6 @@ int halo_rows(const WindowOptions& options, float smallest_footprint);
 std::size_t window_bytes_per_pixel();
 
 /// Pixels whose surfels belong to rows [y0, y1), with one row more on both sides for interpolation.
-PhotoWindow load_window(const PhotographRasters& rasters, const stream::Pose& pose, int y0, int y1, int halo, const WindowOptions& options);
+PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int halo, const WindowOptions& options);
 
 }  // namespace chiaro::blend

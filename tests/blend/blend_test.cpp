@@ -1,0 +1,361 @@
+#include "blend/blend.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/base/parallel.h"
+#include "stream/photo/raster.h"
+#include "stream/store/layer.h"
+#include "stream/store/octree_build.h"
+#include "tests/blend/analytic_scene.h"
+
+namespace chiaro::blend {
+namespace {
+
+using testing::AnalyticScene;
+using testing::look_at;
+using testing::shoot;
+using testing::ShotOptions;
+
+constexpr std::uint64_t kPlenty = std::uint64_t{1} << 30;
+
+Vec3f smooth_paint(const Vec3d& p) {
+  const auto wave = [](double v) { return static_cast<float>(0.5 + 0.2 * std::sin(v)); };
+  return {wave(9 * p.x()), wave(7 * p.y() + 1), wave(5 * p.x() - 4 * p.y())};
+}
+
+AnalyticScene plane_scene() {
+  AnalyticScene scene;
+  scene.rectangles.push_back({Vec3d(0, 0, 0), Vec3d(1, 0, 0), Vec3d(0, 1, 0)});
+  scene.albedo = smooth_paint;
+  scene.spacing = 0.01;
+  return scene;
+}
+
+ShotOptions gained(float gain) {
+  ShotOptions options;
+  options.gain = gain;
+  return options;
+}
+
+/// Seen surfels with their positions and values.
+struct Seen {
+  Vec3d position;
+  Vec3f normal, albedo;
+  float sigma = 0;
+  int photos = 0;
+};
+
+/// A store of the scene's points and a folder for its photographs.
+class Workplace {
+ public:
+  explicit Workplace(AnalyticScene scene_, bool oriented = true) : scene(std::move(scene_)) {
+    testing::write_scene_ply(folder.path() / "cloud.ply", scene.points());
+    MemoryBudget budget(kPlenty);
+    stream::BuildOptions build;
+    build.chunk_surfels = 1000;
+    if (!oriented) build.normals = stream::NormalSource::kEstimate;
+    stream::build_store({folder.path() / "cloud.ply"}, folder.path() / "store.chiaro", build, budget, silent_reporter());
+    store.emplace(folder.path() / "store.chiaro");
+  }
+  BlendPhotograph photograph(const std::string& name, const Vec3d& eye, const Vec3d& target, const ShotOptions& options = {}, double focal = 150) const {
+    return shoot(scene, look_at(name, eye, target, 160, 120, focal), folder.path(), options);
+  }
+  BlendStats run(const std::vector<BlendPhotograph>& photographs, BlendOptions options = {}, std::uint64_t budget_bytes = kPlenty, Reporter& report = silent_reporter()) const {
+    MemoryBudget budget(budget_bytes);
+    const BlendStats stats = blend(*store, photographs, options, folder.path() / "scratch", budget, report);
+    EXPECT_EQ(budget.used_bytes(), 0u);
+    EXPECT_LE(budget.peak_bytes(), budget_bytes);
+    return stats;
+  }
+  std::vector<Seen> result(const std::string& layer = "albedo") const {
+    std::vector<Seen> all;
+    const stream::Layer values(*store, layer);
+    for (const std::uint32_t leaf : store->leaves()) {
+      const stream::Chunk chunk = store->read_chunk(leaf);
+      const stream::AlbedoValues v = stream::read_albedo(values, *store, leaf);
+      for (std::uint32_t i = 0; i < chunk.count; ++i) {
+        const stream::Surfel s = chunk.surfel(i);
+        all.push_back({s.position_in_world, s.normal, v.albedo[i], v.sigma[i], v.photos[i]});
+      }
+    }
+    return all;
+  }
+  /// All bytes of the leaves' values.
+  std::vector<std::byte> bytes(const std::string& layer = "albedo") const {
+    std::vector<std::byte> all;
+    const stream::Layer values(*store, layer);
+    for (std::uint32_t c = 0; c < store->chunks().size(); ++c) {
+      const auto chunk = values.read_chunk(c);
+      all.insert(all.end(), chunk.begin(), chunk.end());
+    }
+    return all;
+  }
+
+  AnalyticScene scene;
+  ScratchFolder folder;
+  std::optional<stream::Store> store;
+};
+
+TEST(Blend, OnePhotographComesOutAsItWentIn) {
+  const Workplace w(plane_scene());
+  const BlendPhotograph photo = w.photograph("a", Vec3d(0.5, 0.5, 1), Vec3d(0.5, 0.5, 0));
+  const BlendStats stats = w.run({photo});
+  EXPECT_GT(stats.points_seen, stats.points / 2);
+  EXPECT_EQ(stats.samples, stats.points_seen);
+  const stream::RasterReader raster(photo.albedo);
+  const auto red = raster.all<float>("r"), green = raster.all<float>("g");
+  for (const Seen& s : w.result()) {
+    const Vec3d inside = (s.position - Vec3d(0.5, 0.5, 0)).cwiseAbs();
+    if (s.photos == 0 || inside.x() > 0.47 || inside.y() > 0.37) continue;   // beside borders fewer than four pixels are read
+    const Vec2d at = *stream::project(photo.camera.lens, photo.camera.pose.camera_from_world(s.position)) - Vec2d(0.5, 0.5);
+    const int x = static_cast<int>(std::floor(at.x())), y = static_cast<int>(std::floor(at.y()));
+    const double fx = at.x() - x, fy = at.y() - y;
+    const auto read = [&](const std::vector<float>& v) {
+      const auto p = [&](int dx, int dy) { return v[static_cast<std::size_t>((y + dy) * 160 + x + dx)]; };
+      return (1 - fy) * ((1 - fx) * p(0, 0) + fx * p(1, 0)) + fy * ((1 - fx) * p(0, 1) + fx * p(1, 1));
+    };
+    ASSERT_NEAR(s.albedo[0], read(red), 1e-5);
+    ASSERT_NEAR(s.albedo[1], read(green), 1e-5);
+    ASSERT_NEAR((s.albedo - smooth_paint(s.position)).cwiseAbs().maxCoeff(), 0, 1e-3);
+    ASSERT_NEAR(s.sigma, 0.02f, 1e-5f);
+    ASSERT_EQ(s.photos, 1);
+  }
+}
+
+TEST(Blend, UnseenPointsAreNaNAndSharedSigmaIsAdded) {
+  const Workplace w(plane_scene());
+  BlendOptions options;
+  options.shared_sigma = 0.05;
+  const BlendStats stats = w.run({w.photograph("a", Vec3d(0.5, 0.5, 0.5), Vec3d(0.5, 0.5, 0))}, options);
+  EXPECT_LT(stats.points_seen, stats.points);
+  std::uint64_t unseen = 0;
+  for (const Seen& s : w.result()) {
+    if (s.photos > 0) {
+      ASSERT_NEAR(s.sigma, std::hypot(0.02f, 0.05f), 1e-5f);
+      continue;
+    }
+    ++unseen;
+    ASSERT_TRUE(s.albedo.array().isNaN().all() && std::isnan(s.sigma));
+    ASSERT_TRUE(std::abs(s.position.x() - 0.5) > 0.24 || std::abs(s.position.y() - 0.5) > 0.18);
+  }
+  EXPECT_EQ(unseen, stats.points - stats.points_seen);
+}
+
+/// Largest step of value / truth between surfels that are neighbours in x.
+float largest_step(std::vector<Seen> seen) {
+  std::erase_if(seen, [](const Seen& s) { return s.photos == 0 || std::abs(s.position.y() - 0.5) > 0.01; });
+  std::sort(seen.begin(), seen.end(), [](const Seen& a, const Seen& b) { return a.position.x() < b.position.x(); });
+  float largest = 0;
+  for (std::size_t i = 1; i < seen.size(); ++i)
+    if (seen[i].position.x() - seen[i - 1].position.x() < 0.02)
+      largest = std::max(largest, std::abs(seen[i].albedo[0] / smooth_paint(seen[i].position)[0] - seen[i - 1].albedo[0] / smooth_paint(seen[i - 1].position)[0]));
+  return largest;
+}
+
+TEST(Blend, AGainStepOfTenPerCentBecomesASmoothTransition) {
+  const Workplace w(plane_scene());
+  w.run({w.photograph("a", Vec3d(0.3, 0.5, 0.6), Vec3d(0.3, 0.5, 0)), w.photograph("b", Vec3d(0.7, 0.5, 0.6), Vec3d(0.7, 0.5, 0), gained(1.1f))});
+  const auto seen = w.result();
+  int both = 0;
+  for (const Seen& s : seen) both += s.photos == 2;
+  EXPECT_GT(both, 500);
+  // the best photograph alone would step by 0.1
+  EXPECT_LT(largest_step(seen), 0.02f);
+}
+
+TEST(Blend, HiddenSurfacesTakeNothingFromTheSurfaceInFront) {
+  AnalyticScene scene;
+  scene.rectangles.push_back({Vec3d(0, 0, 0), Vec3d(1, 0, 0), Vec3d(0, 1, 0)});               // wall
+  scene.rectangles.push_back({Vec3d(0.35, 0.35, 0.06), Vec3d(0.3, 0, 0), Vec3d(0, 0.3, 0)});   // board 6 spacings before it
+  scene.albedo = [](const Vec3d& p) { return p.z() > 0.03 ? Vec3f(0.9f, 0.1f, 0.1f) : Vec3f(0.1f, 0.1f, 0.9f); };
+  scene.spacing = 0.01;
+  for (const bool oriented : {true, false}) {
+    const Workplace w(scene, oriented);
+    w.run({w.photograph("a", Vec3d(0.5, 0.5, 1.2), Vec3d(0.5, 0.5, 0)), w.photograph("b", Vec3d(1.1, 0.5, 0.9), Vec3d(0.5, 0.5, 0)),
+           w.photograph("c", Vec3d(0.5, -0.1, 0.9), Vec3d(0.5, 0.5, 0))});
+    int wall = 0, board = 0;
+    for (const Seen& s : w.result()) {
+      if (s.photos == 0) continue;
+      const bool on_board = s.position.z() > 0.03;
+      ++(on_board ? board : wall);
+      ASSERT_NEAR(s.albedo[0], on_board ? 0.9f : 0.1f, 1e-3f) << s.position.transpose();
+      ASSERT_NEAR(s.albedo[2], on_board ? 0.1f : 0.9f, 1e-3f) << s.position.transpose();
+    }
+    EXPECT_GT(wall, 4000);
+    EXPECT_GT(board, 700);
+  }
+}
+
+TEST(Blend, TheBackOfASphereIsNotSeenThroughItsFront) {
+  AnalyticScene scene;
+  scene.spheres.push_back({Vec3d(0, 0, 0), 0.5});
+  scene.albedo = [](const Vec3d& p) { return Vec3f::Constant(p.z() > 0 ? 0.8f : 0.2f); };
+  scene.spacing = 0.015;
+  for (const bool oriented : {true, false}) {
+    const Workplace w(scene, oriented);
+    const BlendStats stats = w.run({w.photograph("a", Vec3d(0, 0, 2), Vec3d(0, 0, 0))});
+    for (const Seen& s : w.result())
+      if (s.photos > 0) {
+        ASSERT_GT(s.position.z(), 0.05) << s.position.transpose();
+      }
+    EXPECT_GT(stats.points_seen, stats.points / 4);
+  }
+}
+
+TEST(Blend, MaskedAndSaturatedPixelsAndWhatIsNotFiniteTakeNoPart) {
+  const Workplace w(plane_scene());
+  const auto paint = [](int x, int y, const Vec3f& a) -> Vec3f {
+    if (x > 100) return Vec3f::Constant(50);                                   // masked below
+    if (x < 30) return Vec3f::Constant(9);                                     // saturated below
+    return y < 20 ? Vec3f::Constant(std::nanf("")) : a;
+  };
+  const auto mask = [](int x, int) -> std::uint8_t { return x > 100 ? 0 : x < 30 ? 1 | 2 : 1; };
+  ShotOptions disturbed;
+  disturbed.mask = mask;
+  disturbed.paint = paint;
+  const BlendStats stats = w.run({w.photograph("a", Vec3d(0.5, 0.5, 0.8), Vec3d(0.5, 0.5, 0), disturbed)});
+  EXPECT_GT(stats.points_seen, 1000u);
+  for (const Seen& s : w.result())
+    if (s.photos > 0) {
+      ASSERT_NEAR((s.albedo - smooth_paint(s.position)).cwiseAbs().maxCoeff(), 0, 1e-2);   // beside borders the next pixel is read
+    }
+}
+
+TEST(Blend, TheSharperPhotographDecidesTheDetail) {
+  AnalyticScene scene = plane_scene();
+  scene.albedo = [](const Vec3d& p) { return Vec3f::Constant(static_cast<float>(0.5 + 0.3 * std::sin(2 * 3.14159265 * p.x() / 0.035))); };
+  const Workplace w(scene);
+  const auto near = w.photograph("near", Vec3d(0.5, 0.5, 0.5), Vec3d(0.5, 0.5, 0));
+  const auto far = w.photograph("far", Vec3d(0.5, 0.5, 3), Vec3d(0.5, 0.5, 0));
+  const auto error = [&] {
+    double sum = 0;
+    int n = 0;
+    for (const Seen& s : w.result())
+      if (std::abs(s.position.x() - 0.5) < 0.1 && std::abs(s.position.y() - 0.5) < 0.1) sum += std::abs(s.albedo[0] - scene.albedo(s.position)[0]), ++n;
+    return sum / n;
+  };
+  w.run({near});
+  const double near_alone = error();
+  w.run({far});
+  const double far_alone = error();
+  w.run({near, far});
+  EXPECT_GT(far_alone, 4 * near_alone);
+  EXPECT_LT(error(), 1.1 * near_alone);
+}
+
+TEST(Blend, OrderThreadsAndBudgetDoNotChangeTheBytes) {
+  const Workplace w(plane_scene());
+  std::vector<BlendPhotograph> photos{w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.3, 0.5, 0)), w.photograph("b", Vec3d(0.7, 0.4, 0.5), Vec3d(0.7, 0.5, 0), gained(1.1f)),
+                                      w.photograph("c", Vec3d(0.5, 0.9, 0.8), Vec3d(0.5, 0.5, 0), gained(0.95f))};
+  const BlendStats first = w.run(photos);
+  const auto expected = w.bytes();
+  std::swap(photos[0], photos[2]);
+  const BlendStats swapped = w.run(photos);
+  EXPECT_EQ(w.bytes(), expected);
+  EXPECT_EQ(swapped.samples_per_photograph[0], first.samples_per_photograph[2]);
+  {
+    const ThreadLimit one(1);
+    w.run(photos);
+    EXPECT_EQ(w.bytes(), expected);
+  }
+  const BlendStats small = w.run(photos, {}, 2400 << 10);
+  EXPECT_EQ(w.bytes(), expected);
+  EXPECT_GT(small.chunks_visited, first.chunks_visited);   // it did work in bands
+  EXPECT_EQ(small.samples, first.samples);
+}
+
+/// Stops the work after some time that is counted in calls.
+class StoppingReporter : public Reporter {
+ public:
+  explicit StoppingReporter(int calls) : left_(calls) {}
+  void begin(std::string_view, std::uint64_t, std::string_view) override {}
+  void progress(std::uint64_t) override {}
+  void end() override {}
+  void note(std::string_view) override {}
+  bool cancelled() const override { return left_-- <= 0; }
+
+ private:
+  mutable std::atomic<int> left_;
+};
+
+TEST(Blend, AStoppedBlendContinuesToTheSameBytes) {
+  const Workplace w(plane_scene());
+  const std::vector<BlendPhotograph> photos{w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.3, 0.5, 0)), w.photograph("b", Vec3d(0.7, 0.4, 0.5), Vec3d(0.7, 0.5, 0), gained(1.1f)),
+                                            w.photograph("c", Vec3d(0.5, 0.9, 0.8), Vec3d(0.5, 0.5, 0), gained(0.95f))};
+  const BlendStats whole = w.run(photos);
+  const auto expected = w.bytes();
+  int stops = 0;
+  for (int calls = 3;; calls += 9) {
+    StoppingReporter report(calls);
+    // bands of different heights before and after each stop
+    const std::uint64_t budget = stops % 2 == 0 ? kPlenty : 2400 << 10;
+    try {
+      const BlendStats stats = w.run(photos, {}, budget, report);
+      EXPECT_EQ(stats.samples_per_photograph, whole.samples_per_photograph);
+      break;
+    } catch (const Cancelled&) {
+      ++stops;
+    }
+    ASSERT_LT(stops, 100);
+  }
+  EXPECT_GE(stops, 3);
+  EXPECT_EQ(w.bytes(), expected);
+}
+
+TEST(Blend, APhotographThatSeesNothingAndTheSameOneTwiceAreLegal) {
+  const Workplace w(plane_scene());
+  const auto a = w.photograph("a", Vec3d(0.5, 0.5, 0.6), Vec3d(0.5, 0.5, 0)), away = w.photograph("away", Vec3d(0.5, 0.5, 1), Vec3d(0.5, 0.5, 9));
+  w.run({a});
+  const auto once = w.result();
+  const BlendStats stats = w.run({a, away, a});
+  EXPECT_EQ(stats.samples_per_photograph[1], 0u);
+  const auto twice = w.result();
+  for (std::size_t i = 0; i < once.size(); ++i) {
+    if (once[i].photos == 0) continue;
+    ASSERT_EQ(twice[i].photos, 2);
+    ASSERT_NEAR(twice[i].albedo[0], once[i].albedo[0], 1e-6f);
+  }
+  EXPECT_EQ(w.run({}).points_seen, 0u);
+}
+
+TEST(Blend, SigmaThatIsZeroOrNotANumberDoesNoHarm) {
+  const Workplace w(plane_scene());
+  for (const float sigma : {0.0f, std::nanf("")}) {
+    ShotOptions shot;
+    shot.sigma = sigma;
+    w.run({w.photograph("a", Vec3d(0.5, 0.5, 0.6), Vec3d(0.5, 0.5, 0), shot)});
+    for (const Seen& s : w.result())
+      if (s.photos > 0) {
+        ASSERT_TRUE(s.albedo.allFinite());
+        ASSERT_NEAR(s.sigma, sigma == 0 ? 0.0f : 1.0f, 1e-5f);
+      }
+  }
+}
+
+TEST(Blend, RastersOfAnotherSizeOrWithoutAPlaneAreNamed) {
+  const Workplace w(plane_scene());
+  auto a = w.photograph("a", Vec3d(0.5, 0.5, 0.6), Vec3d(0.5, 0.5, 0));
+  auto wrong_size = a;
+  wrong_size.camera.lens.width_px = 80;
+  auto wrong_plane = a;
+  wrong_plane.albedo = a.radiance;
+  for (const auto& bad : {wrong_size, wrong_plane}) {
+    try {
+      w.run({bad});
+      FAIL() << "no error";
+    } catch (const Error& e) {
+      EXPECT_NE(std::string(e.what()).find("a_"), std::string::npos) << e.what();
+    }
+  }
+  MemoryBudget tiny(10000);
+  EXPECT_THROW(blend(*w.store, std::vector{a}, {}, w.folder.path() / "scratch", tiny, silent_reporter()), Error);
+}
+
+}  // namespace
+}  // namespace chiaro::blend
