@@ -24,6 +24,9 @@ const Command kCommands[] = {
     {"export", "a layer of a store to a point file", chiaro::tools::run_export},
     {"render", "predicted photographs from a finished run", chiaro::tools::run_render},
     {"compare", "two pictures, or the colours of two clouds: how alike they are", chiaro::tools::run_compare},
+    {"report", "HTML report of a finished run, and its numbers as JSON", chiaro::tools::run_report},
+    {"status", "what a run has done and has still to do, times and sizes", chiaro::tools::run_status},
+    {"synth", "synthetic clouds of any size", chiaro::tools::run_synth},
 };
 
 int terminal_columns() {
