@@ -68,8 +68,7 @@ class Builder {
     if (b_.phase < BuildPhase::kRadii) radii();
     if (b_.phase < BuildPhase::kInner) inner();
     if (b_.phase < BuildPhase::kLayers) layers();
-    fs::remove(part_ / "leaves.bin");
-    remove_journal(part_);
+    remove_leftovers();
     publish_folder(part_, out_);
     return b_.manifest;
   }
@@ -79,6 +78,21 @@ class Builder {
     b_.phase = phase;
     write_journal(part_, b_);
     report_.check();
+  }
+
+  // A store holds its own files only, wherever the build was killed before. The journal goes last.
+  void remove_leftovers() const {
+    const auto remove_others = [](const fs::path& folder, const auto& keep) {
+      std::vector<fs::path> others;
+      if (!fs::exists(folder)) return;
+      for (const auto& entry : fs::directory_iterator(folder))
+        if (!keep(entry.path())) others.push_back(entry.path());
+      for (const fs::path& path : others) fs::remove_all(path);
+    };
+    remove_others(layers_path(part_), [](const fs::path& p) { return p.filename() == "input"; });
+    const std::vector<fs::path> files{manifest_path(part_), index_path(part_), geometry_path(part_), source_path(part_), layers_path(part_)};
+    remove_others(part_, [&](const fs::path& p) { return p.filename() == "journal.json" || std::find(files.begin(), files.end(), p) != files.end(); });
+    remove_journal(part_);
   }
 
   // Reason to leave a point out, or null.
@@ -301,11 +315,8 @@ class Builder {
         parallel_blocks(leaves.size(), 8, [&](std::size_t begin, std::size_t end) {
           for (std::size_t i = begin; i < end; ++i) {
             const ChunkEntry& e = store.chunks()[leaves[i]];
-            std::vector<std::array<std::uint16_t, 3>> values(e.count);
-            colour.read_at(e.source_offset / kSourceBytes * 6, values.data(), 6ull * e.count);
-            std::vector<std::uint16_t> planar(3ull * e.count);
-            for (std::size_t c = 0; c < 3; ++c)
-              for (std::size_t s = 0; s < values.size(); ++s) planar[c * values.size() + s] = values[s][c];
+            std::vector<std::uint16_t> planar(3ull * e.count);  // as encode_leaf wrote it
+            colour.read_at(e.source_offset / kSourceBytes * 6, planar.data(), 6ull * e.count);
             writer.write_chunk(leaves[i], std::as_bytes(std::span(planar)));
           }
         });
