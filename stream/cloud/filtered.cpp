@@ -31,7 +31,8 @@ class TransformedReader final : public PointReader {
 
 class MarkedReader final : public PointReader {
  public:
-  MarkedReader(std::unique_ptr<PointReader> reader, std::shared_ptr<const OutlierMarks> marks) : reader_(std::move(reader)), marks_(std::move(marks)), schema_(reader_->schema()) {
+  MarkedReader(std::unique_ptr<PointReader> reader, std::shared_ptr<const OutlierMarks> marks)
+      : reader_(std::move(reader)), marks_(std::move(marks)), schema_(reader_->schema()) {
     extra_bytes_ = schema_.extra_bytes();
     if (schema_.declared_points >= marks_->num_rejected) schema_.declared_points -= marks_->num_rejected;
   }
@@ -47,7 +48,8 @@ class MarkedReader final : public PointReader {
  private:
   void drop_marked(PointBlock& block) {
     const std::size_t count = block.size();
-    if (count > marks_->num_points - next_) throw Error(concat("the cloud has more than the ", marks_->num_points, " points that were searched for outliers"));
+    if (count > marks_->num_points - next_)
+      throw Error(concat("the cloud has more than the ", marks_->num_points, " points that were searched for outliers"));
     std::size_t kept = 0;
     for (std::size_t i = 0; i < count; ++i) {
       if (marks_->rejected(next_ + i)) continue;
@@ -89,8 +91,8 @@ std::unique_ptr<PointReader> without_marked(std::unique_ptr<PointReader> reader,
   return std::make_unique<MarkedReader>(std::move(reader), std::move(marks));
 }
 
-std::unique_ptr<PointReader> remove_outliers(const std::function<std::unique_ptr<PointReader>()>& open, const OutlierOptions& options, Reporter& report,
-                                             std::shared_ptr<const OutlierMarks>* marks) {
+std::unique_ptr<PointReader> remove_outliers(const std::function<std::unique_ptr<PointReader>()>& open, const OutlierOptions& options,
+                                             Reporter& report, std::shared_ptr<const OutlierMarks>* marks) {
   const auto found = std::make_shared<const OutlierMarks>(mark_outliers(*open(), options, report));
   if (marks) *marks = found;
   return without_marked(open(), found);
@@ -119,7 +121,8 @@ std::vector<Vec3d> subsample(PointReader& reader, std::size_t max_points, Report
   return kept;
 }
 
-IcpResult align_files(const std::filesystem::path& target_path, const std::filesystem::path& source_path, const AlignOptions& options, Reporter& report) {
+IcpResult align_files(const std::filesystem::path& target_path, const std::filesystem::path& source_path, const AlignOptions& options,
+                      Reporter& report) {
   const std::vector<Vec3d> target = subsample(*open_points(target_path, options.memory_bytes), options.max_points, report);
   const std::vector<Vec3d> source = subsample(*open_points(source_path, options.memory_bytes), options.max_points, report);
   report.check();

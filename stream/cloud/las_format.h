@@ -10,9 +10,22 @@ namespace chiaro::stream::las {
 
 /// Byte offsets in the public header block.
 enum HeaderOffset : std::size_t {
-  kGlobalEncoding = 6, kVersionMajor = 24, kVersionMinor = 25, kSystemId = 26, kSoftware = 58, kHeaderSize = 94, kPointOffset = 96, kNumVlrs = 100,
-  kPointFormat = 104, kRecordLength = 105, kLegacyCount = 107, kScale = 131, kAdd = 155, kBounds = 179 /* max x, min x, max y, ... */,
-  kCount = 247, kCountByReturn = 255
+  kGlobalEncoding = 6,
+  kVersionMajor = 24,
+  kVersionMinor = 25,
+  kSystemId = 26,
+  kSoftware = 58,
+  kHeaderSize = 94,
+  kPointOffset = 96,
+  kNumVlrs = 100,
+  kPointFormat = 104,
+  kRecordLength = 105,
+  kLegacyCount = 107,
+  kScale = 131,
+  kAdd = 155,
+  kBounds = 179 /* max x, min x, max y, ... */,
+  kCount = 247,
+  kCountByReturn = 255
 };
 inline constexpr std::size_t kHeaderBytes12 = 227, kHeaderBytes13 = 235, kHeaderBytes14 = 375;
 inline constexpr std::size_t kVlrHeaderBytes = 54, kExtraBytesBytes = 192;

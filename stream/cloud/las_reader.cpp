@@ -43,7 +43,9 @@ class LasOpener {
   }
 
  private:
-  [[noreturn]] void fail(std::uint64_t offset, const std::string& what) const { throw Error(concat(file_.path().string(), ": offset ", offset, ": ", what)); }
+  [[noreturn]] void fail(std::uint64_t offset, const std::string& what) const {
+    throw Error(concat(file_.path().string(), ": offset ", offset, ": ", what));
+  }
 
   template <class T>
   T at(std::size_t offset) const {
@@ -53,7 +55,8 @@ class LasOpener {
   void parse_header() {
     bytes_.resize(kHeaderBytes14);
     const std::size_t got = file_.read_some_at(0, bytes_.data(), bytes_.size());
-    if (got < kHeaderBytes12) fail(got, concat("the file ends in the LAS header: expected ", kHeaderBytes12, " bytes or more, found ", got));
+    if (got < kHeaderBytes12)
+      fail(got, concat("the file ends in the LAS header: expected ", kHeaderBytes12, " bytes or more, found ", got));
     const int major = at<std::uint8_t>(kVersionMajor);
     header_.minor = at<std::uint8_t>(kVersionMinor);
     if (major != 1 || header_.minor > 4) fail(kVersionMajor, concat("LAS version ", major, ".", header_.minor, ", expected 1.0 to 1.4"));
@@ -64,7 +67,8 @@ class LasOpener {
     header_.point_offset = at<std::uint32_t>(kPointOffset);
     header_.num_vlrs = at<std::uint32_t>(kNumVlrs);
     if (header_.point_offset < header_.header_bytes || header_.point_offset > size_)
-      fail(kPointOffset, concat("points start at ", header_.point_offset, ", expected ", header_.header_bytes, " (end of the header) to ", size_, " (end of the file)"));
+      fail(kPointOffset, concat("points start at ", header_.point_offset, ", expected ", header_.header_bytes, " (end of the header) to ",
+                                size_, " (end of the file)"));
     parse_point_format();
     parse_count();
     parse_scale();
@@ -72,7 +76,8 @@ class LasOpener {
 
   void parse_point_format() {
     const unsigned format = at<std::uint8_t>(kPointFormat);
-    if (format & 0xc0u) throw Error(concat(file_.path().string(), ": LAZ compression (also in COPC) is not read yet; decompress it to LAS first"));
+    if (format & 0xc0u)
+      throw Error(concat(file_.path().string(), ": LAZ compression (also in COPC) is not read yet; decompress it to LAS first"));
     if (format >= kRecordBytes.size()) fail(kPointFormat, concat("point format ", format, ", expected 0 to 10"));
     header_.format = static_cast<int>(format);
     header_.record_bytes = at<std::uint16_t>(kRecordLength);
@@ -83,11 +88,13 @@ class LasOpener {
   void parse_count() {
     const std::uint32_t legacy = at<std::uint32_t>(kLegacyCount);
     const std::uint64_t count = header_.minor == 4 ? at<std::uint64_t>(kCount) : 0;
-    if (legacy != 0 && count != 0 && legacy != count) fail(kCount, concat("the header declares ", count, " points and, in its older field, ", legacy));
+    if (legacy != 0 && count != 0 && legacy != count)
+      fail(kCount, concat("the header declares ", count, " points and, in its older field, ", legacy));
     header_.count = count != 0 ? count : legacy;
     if (header_.count == 0) {
       const std::uint64_t room = (size_ - header_.point_offset) / header_.record_bytes;
-      fail(kLegacyCount, concat("the header declares no points", room > 0 ? concat(" although the file has room for ", room, " (was it closed properly?)") : std::string()));
+      fail(kLegacyCount, concat("the header declares no points",
+                                room > 0 ? concat(" although the file has room for ", room, " (was it closed properly?)") : std::string()));
     }
   }
 
@@ -95,9 +102,11 @@ class LasOpener {
     for (std::size_t axis = 0; axis < 3; ++axis) {
       header_.scale[axis] = at<double>(kScale + 8 * axis);
       header_.add[axis] = at<double>(kAdd + 8 * axis);
-      if (!std::isfinite(header_.scale[axis]) || header_.scale[axis] == 0) fail(kScale + 8 * axis, concat("scale ", header_.scale[axis], ", expected a finite number other than 0"));
+      if (!std::isfinite(header_.scale[axis]) || header_.scale[axis] == 0)
+        fail(kScale + 8 * axis, concat("scale ", header_.scale[axis], ", expected a finite number other than 0"));
       if (!std::isfinite(header_.add[axis])) fail(kAdd + 8 * axis, concat("offset ", header_.add[axis], ", expected a finite number"));
-      header_.largest = std::max({header_.largest, std::abs(at<double>(kBounds + 16 * axis)), std::abs(at<double>(kBounds + 16 * axis + 8))});
+      header_.largest =
+          std::max({header_.largest, std::abs(at<double>(kBounds + 16 * axis)), std::abs(at<double>(kBounds + 16 * axis + 8))});
     }
   }
 
@@ -157,23 +166,27 @@ class LasOpener {
     std::uint64_t offset = header_.header_bytes;
     for (std::uint32_t i = 0; i < header_.num_vlrs; ++i) {
       if (offset + kVlrHeaderBytes > header_.point_offset)
-        fail(offset, concat("variable length record ", i + 1, " of ", header_.num_vlrs, " does not fit before the points, which start at ", header_.point_offset));
+        fail(offset, concat("variable length record ", i + 1, " of ", header_.num_vlrs, " does not fit before the points, which start at ",
+                            header_.point_offset));
       std::byte vlr[kVlrHeaderBytes];
       file_.read_at(offset, vlr, sizeof vlr);
       const std::uint64_t bytes = load_as<std::uint16_t>(vlr + 20);
       const std::uint64_t content = offset + kVlrHeaderBytes;
       if (content + bytes > header_.point_offset)
-        fail(offset, concat("variable length record ", i + 1, " of ", header_.num_vlrs, " has ", bytes, " bytes, the points start ", header_.point_offset - content, " bytes later"));
+        fail(offset, concat("variable length record ", i + 1, " of ", header_.num_vlrs, " has ", bytes, " bytes, the points start ",
+                            header_.point_offset - content, " bytes later"));
       if (std::memcmp(vlr + 2, "LASF_Spec\0", 10) == 0 && load_as<std::uint16_t>(vlr + 18) == kExtraBytesRecord) {
         std::vector<std::byte> records(bytes);
         file_.read_at(content, records.data(), records.size());
-        for (std::size_t at_record = 0; at_record + kExtraBytesBytes <= records.size(); at_record += kExtraBytesBytes) add_described(records.data() + at_record);
+        for (std::size_t at_record = 0; at_record + kExtraBytesBytes <= records.size(); at_record += kExtraBytesBytes)
+          add_described(records.data() + at_record);
       }
       offset = content + bytes;
     }
     constexpr std::size_t kMostUndescribed = 2048;
     if (header_.record_bytes - used_bytes_ > kMostUndescribed)
-      fail(kRecordLength, concat("records of ", header_.record_bytes, " bytes, of which ", header_.record_bytes - used_bytes_, " are not described, expected at most ", kMostUndescribed));
+      fail(kRecordLength, concat("records of ", header_.record_bytes, " bytes, of which ", header_.record_bytes - used_bytes_,
+                                 " are not described, expected at most ", kMostUndescribed));
     for (int k = 0; used_bytes_ < header_.record_bytes; ++k) add_field(concat("extra_byte_", k), ScalarType::kU8, used_bytes_++);
   }
 

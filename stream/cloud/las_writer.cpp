@@ -64,7 +64,8 @@ class LasWriter final : public RowWriter {
       offset += bytes;
     }
     if (record_bytes_ > 65535 || extras_.size() > 65535 / kExtraBytesBytes)
-      throw Error(concat(file_.file().path().string(), ": ", extras_.size(), " properties of ", record_bytes_, " bytes do not fit a LAS record"));
+      throw Error(
+          concat(file_.file().path().string(), ": ", extras_.size(), " properties of ", record_bytes_, " bytes do not fit a LAS record"));
   }
 
   void plan_colour(std::vector<bool>& used) {
@@ -97,7 +98,9 @@ class LasWriter final : public RowWriter {
   std::size_t vlr_bytes() const { return extras_.empty() ? 0 : kVlrHeaderBytes + extras_.size() * kExtraBytesBytes; }
   std::size_t point_offset() const { return kHeaderBytes14 + vlr_bytes(); }
 
-  static void put_text(std::byte* at, std::string_view text, std::size_t bytes) { std::memcpy(at, text.data(), std::min(bytes, text.size())); }
+  static void put_text(std::byte* at, std::string_view text, std::size_t bytes) {
+    std::memcpy(at, text.data(), std::min(bytes, text.size()));
+  }
 
   std::vector<std::byte> make_header() const {
     std::vector<std::byte> header(point_offset());
@@ -156,8 +159,8 @@ class LasWriter final : public RowWriter {
       const double value = load_scalar(slot.type, row + slot.offset);
       const double steps = std::round((value - add_[axis]) / scale_[axis]);
       if (!(std::abs(steps) <= 2147483647.0))
-        throw Error(concat(file_.file().path().string(), ": coordinate ", "xyz"[axis], " = ", value, " lies outside the announced bounds ", options_.bounds.min[axis], " to ",
-                           options_.bounds.max[axis], ", or is not a number"));
+        throw Error(concat(file_.file().path().string(), ": coordinate ", "xyz"[axis], " = ", value, " lies outside the announced bounds ",
+                           options_.bounds.min[axis], " to ", options_.bounds.max[axis], ", or is not a number"));
       store_as(record_.data() + 4 * axis, static_cast<std::int32_t>(steps));
       const double stored = steps * scale_[axis] + add_[axis];
       stored_.min[axis] = std::min(stored_.min[axis], stored);

@@ -2,9 +2,10 @@
 //
 // 1. Positions with their running numbers go to a scratch file.
 // 2. The file is split, around medians of a sample, into leaves that fit in memory; the leaves' boxes do not overlap.
-// 3. Each leaf is searched: first among its own points, then, where neighbours may lie across its border, among the points around it (the halo).
-// 4. What is still open (points further from everything than the halo is wide: mostly the outliers themselves) is searched in every leaf in reach.
-// So every mean distance is exact, and mean, deviation and threshold are those of the whole cloud.
+// 3. Each leaf is searched: first among its own points, then, where neighbours may lie across its border, among the points around it (the
+// halo).
+// 4. What is still open (points further from everything than the halo is wide: mostly the outliers themselves) is searched in every leaf in
+// reach. So every mean distance is exact, and mean, deviation and threshold are those of the whole cloud.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -34,7 +35,9 @@ struct Leaf {
 /// Appends records through a buffer to one place of a file.
 class RecordSink {
  public:
-  RecordSink(File& file, std::uint64_t first, std::size_t buffered) : file_(&file), next_(first), limit_(buffered) { buffer_.reserve(limit_); }
+  RecordSink(File& file, std::uint64_t first, std::size_t buffered) : file_(&file), next_(first), limit_(buffered) {
+    buffer_.reserve(limit_);
+  }
   void add(const Record& record) {
     buffer_.push_back(record);
     if (buffer_.size() >= limit_) flush();
@@ -67,7 +70,8 @@ void for_records(const File& file, std::uint64_t first, std::uint64_t count, con
 /// Splits records into leaves of at most `capacity`, partitioning back and forth between two files.
 class Splitter {
  public:
-  Splitter(File& records, File& other, std::uint64_t capacity, Reporter& report) : records_(records), other_(other), capacity_(capacity), report_(report) {}
+  Splitter(File& records, File& other, std::uint64_t capacity, Reporter& report)
+      : records_(records), other_(other), capacity_(capacity), report_(report) {}
 
   std::vector<Leaf> split(std::uint64_t count) {
     std::vector<Leaf> open = {{0, count, bounds_of(0, count)}};
@@ -82,7 +86,8 @@ class Splitter {
         leaves.push_back(node);
       } else if ((node.box.max.array() == node.box.min.array()).all()) {
         // All in one place: any cut is as good as another.
-        for (std::uint64_t at = 0; at < node.count; at += capacity_) leaves.push_back({node.first + at, std::min(capacity_, node.count - at), node.box});
+        for (std::uint64_t at = 0; at < node.count; at += capacity_)
+          leaves.push_back({node.first + at, std::min(capacity_, node.count - at), node.box});
       } else {
         const auto [low, high] = cut(node);
         open.push_back(high);
@@ -159,7 +164,9 @@ double distance_to_box(const Vec3d& p, const Box3d& box) { return (box.min - p).
 double distance_between(const Box3d& a, const Box3d& b) { return (a.min - b.max).cwiseMax(b.min - a.max).cwiseMax(0.0).norm(); }
 
 /// How far a point inside the box is from its nearest side.
-double depth_in_box(const Vec3d& p, const Box3d& box) { return std::max(0.0, std::min((p - box.min).minCoeff(), (box.max - p).minCoeff())); }
+double depth_in_box(const Vec3d& p, const Box3d& box) {
+  return std::max(0.0, std::min((p - box.min).minCoeff(), (box.max - p).minCoeff()));
+}
 
 /// Merges `found` sorted distances into the k smallest of `best`, sorted too.
 void merge(double* best, std::size_t k, const double* distances, std::size_t found, std::vector<double>& scratch) {
@@ -167,6 +174,37 @@ void merge(double* best, std::size_t k, const double* distances, std::size_t fou
   scratch.resize(k + found);
   std::merge(best, best + k, distances, distances + found, scratch.begin());
   std::copy_n(scratch.begin(), k, best);
+}
+
+/// Interleaves the low ten bits of three numbers.
+std::uint32_t morton(const Vec3d& unit) {
+  std::uint32_t code = 0;
+  for (int axis = 0; axis < 3; ++axis) {
+    std::uint32_t v = static_cast<std::uint32_t>(std::clamp(unit[axis], 0.0, 1.0) * 1023);
+    v = (v | (v << 16)) & 0x030000ffu;
+    v = (v | (v << 8)) & 0x0300f00fu;
+    v = (v | (v << 4)) & 0x030c30c3u;
+    v = (v | (v << 2)) & 0x09249249u;
+    code |= v << axis;
+  }
+  return code;
+}
+
+/// Neighbours next to each other in memory: searching them in this order halves the time for clouds in random order.
+void sort_along_curve(std::vector<Vec3d>& points, std::vector<std::uint64_t>& indices, const Box3d& box) {
+  const Vec3d size = (box.max - box.min).cwiseMax(1e-300);
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> order(points.size());
+  for (std::size_t i = 0; i < points.size(); ++i)
+    order[i] = {morton((points[i] - box.min).cwiseQuotient(size)), static_cast<std::uint32_t>(i)};
+  std::sort(order.begin(), order.end());
+  std::vector<Vec3d> sorted_points(points.size());
+  std::vector<std::uint64_t> sorted_indices(points.size());
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    sorted_points[i] = points[order[i].second];
+    sorted_indices[i] = indices[order[i].second];
+  }
+  points.swap(sorted_points);
+  indices.swap(sorted_indices);
 }
 
 /// A point whose nearest points are not certain yet, with the best distances so far.
@@ -178,9 +216,13 @@ struct Open {
 class OutlierSearch {
  public:
   OutlierSearch(const OutlierOptions& options, Reporter& report)
-      : options_(options), report_(report), scratch_(options.scratch_folder), records_(scratch_.path() / "records", File::Mode::kCreate),
+      : options_(options),
+        report_(report),
+        scratch_(options.scratch_folder),
+        records_(scratch_.path() / "records", File::Mode::kCreate),
         other_(scratch_.path() / "split", File::Mode::kCreate) {
-    if (options.neighbours < 1 || std::isnan(options.multiplier)) throw std::invalid_argument("mark_outliers: neighbours must be 1 or more and the multiplier a number");
+    if (options.neighbours < 1 || std::isnan(options.multiplier))
+      throw std::invalid_argument("mark_outliers: neighbours must be 1 or more and the multiplier a number");
   }
 
   OutlierMarks run(PointReader& reader) {
@@ -190,7 +232,8 @@ class OutlierSearch {
     // The nearest of all is the point itself, at distance 0.
     k_ = static_cast<std::size_t>(std::min<std::uint64_t>(static_cast<std::uint64_t>(options_.neighbours), num_finite_ - 1)) + 1;
     const std::uint64_t memory = std::max<std::uint64_t>(options_.memory_bytes, 16 << 20);
-    // A record, its float copy, PCL's point, FLANN's tree and copy are some 110 bytes; a leaf and a halo of the same size are held at a time.
+    // A record, its float copy, PCL's point, FLANN's tree and copy are some 110 bytes; a leaf and a halo of the same size are held at a
+    // time.
     capacity_ = memory / (2 * (128 + 12 * k_));
     means_ = File(scratch_.path() / "means", File::Mode::kCreate);
     Splitter splitter(records_, other_, capacity_, report_);
@@ -251,6 +294,7 @@ class OutlierSearch {
     std::vector<Vec3d> points;
     std::vector<std::uint64_t> indices;
     load(leaf, points, &indices);
+    sort_along_curve(points, indices, leaf.box);
     std::vector<double> best(points.size() * k_, std::numeric_limits<double>::infinity());
     search(NeighbourTree(points), points, best.data());
 
@@ -287,7 +331,8 @@ class OutlierSearch {
   }
 
   // `reach` becomes 0 where the halo would not fit in memory.
-  void search_halo(std::size_t leaf_idx, const std::vector<Vec3d>& points, const std::vector<std::size_t>& border, std::vector<double>& best, double& reach) {
+  void search_halo(std::size_t leaf_idx, const std::vector<Vec3d>& points, const std::vector<std::size_t>& border,
+                   std::vector<double>& best, double& reach) {
     const Leaf& leaf = leaves_[leaf_idx];
     std::vector<Vec3d> halo;
     for (std::size_t j = 0; j < leaves_.size() && halo.size() <= capacity_; ++j) {
@@ -302,10 +347,12 @@ class OutlierSearch {
     std::vector<double> found;
     for (const std::size_t i : border) {
       queries.push_back(points[i]);
-      found.insert(found.end(), best.begin() + static_cast<std::ptrdiff_t>(i * k_), best.begin() + static_cast<std::ptrdiff_t>(i * k_ + k_));
+      found.insert(found.end(), best.begin() + static_cast<std::ptrdiff_t>(i * k_),
+                   best.begin() + static_cast<std::ptrdiff_t>(i * k_ + k_));
     }
     search(NeighbourTree(halo), queries, found.data());
-    for (std::size_t b = 0; b < border.size(); ++b) std::copy_n(found.begin() + static_cast<std::ptrdiff_t>(b * k_), k_, best.begin() + static_cast<std::ptrdiff_t>(border[b] * k_));
+    for (std::size_t b = 0; b < border.size(); ++b)
+      std::copy_n(found.begin() + static_cast<std::ptrdiff_t>(b * k_), k_, best.begin() + static_cast<std::ptrdiff_t>(border[b] * k_));
   }
 
   // From scratch over all leaves in reach: what was found so far may hold points of the halo, which must not count twice.
@@ -326,11 +373,13 @@ class OutlierSearch {
       std::vector<double> best;
       for (const std::size_t i : in_reach) {
         queries.push_back(open_[i].at);
-        best.insert(best.end(), open_best_.begin() + static_cast<std::ptrdiff_t>(i * k_), open_best_.begin() + static_cast<std::ptrdiff_t>(i * k_ + k_));
+        best.insert(best.end(), open_best_.begin() + static_cast<std::ptrdiff_t>(i * k_),
+                    open_best_.begin() + static_cast<std::ptrdiff_t>(i * k_ + k_));
       }
       search(NeighbourTree(points), queries, best.data());
       for (std::size_t q = 0; q < in_reach.size(); ++q)
-        std::copy_n(best.begin() + static_cast<std::ptrdiff_t>(q * k_), k_, open_best_.begin() + static_cast<std::ptrdiff_t>(in_reach[q] * k_));
+        std::copy_n(best.begin() + static_cast<std::ptrdiff_t>(q * k_), k_,
+                    open_best_.begin() + static_cast<std::ptrdiff_t>(in_reach[q] * k_));
     }
     for (std::size_t i = 0; i < open_.size(); ++i) write_mean(open_[i].index, open_best_.data() + i * k_);
     open_.clear();
@@ -409,6 +458,8 @@ class OutlierSearch {
 
 }  // namespace
 
-OutlierMarks mark_outliers(PointReader& reader, const OutlierOptions& options, Reporter& report) { return OutlierSearch(options, report).run(reader); }
+OutlierMarks mark_outliers(PointReader& reader, const OutlierOptions& options, Reporter& report) {
+  return OutlierSearch(options, report).run(reader);
+}
 
 }  // namespace chiaro::stream

@@ -49,7 +49,9 @@ class PcdHeaderParser {
  private:
   static constexpr std::uint64_t kMaxHeaderBytes = 1 << 20;
 
-  [[noreturn]] void fail(const std::string& what) const { throw Error(concat(file_.path().string(), ": line ", lines_.line(), " of the PCD header: ", what)); }
+  [[noreturn]] void fail(const std::string& what) const {
+    throw Error(concat(file_.path().string(), ": line ", lines_.line(), " of the PCD header: ", what));
+  }
 
   bool parse_line() {
     const std::string_view key = tokens_[0];
@@ -70,19 +72,25 @@ class PcdHeaderParser {
       points_ = single();
     } else if (key == "DATA") {
       const std::string_view data = tokens_.size() == 2 ? tokens_[1] : std::string_view();
-      if (data == "ascii") header_.data = PcdData::kAscii;
-      else if (data == "binary") header_.data = PcdData::kBinary;
-      else if (data == "binary_compressed") header_.data = PcdData::kCompressed;
-      else fail("expected DATA ascii, binary or binary_compressed");
+      if (data == "ascii")
+        header_.data = PcdData::kAscii;
+      else if (data == "binary")
+        header_.data = PcdData::kBinary;
+      else if (data == "binary_compressed")
+        header_.data = PcdData::kCompressed;
+      else
+        fail("expected DATA ascii, binary or binary_compressed");
       return true;
     } else if (key != "VERSION" && key != "VIEWPOINT") {
-      fail(concat("unknown keyword '", key.substr(0, 40), "', expected VERSION, FIELDS, SIZE, TYPE, COUNT, WIDTH, HEIGHT, VIEWPOINT, POINTS or DATA"));
+      fail(concat("unknown keyword '", key.substr(0, 40),
+                  "', expected VERSION, FIELDS, SIZE, TYPE, COUNT, WIDTH, HEIGHT, VIEWPOINT, POINTS or DATA"));
     }
     return false;
   }
 
   std::size_t values() const {
-    if (tokens_.size() - 1 != header_.fields.size()) fail(concat(tokens_[0], " has ", tokens_.size() - 1, " values for ", header_.fields.size(), " fields"));
+    if (tokens_.size() - 1 != header_.fields.size())
+      fail(concat(tokens_[0], " has ", tokens_.size() - 1, " values for ", header_.fields.size(), " fields"));
     return header_.fields.size();
   }
 
@@ -90,7 +98,8 @@ class PcdHeaderParser {
     std::uint64_t value = 0;
     const std::string_view token = tokens_[i];
     const auto [end, code] = std::from_chars(token.data(), token.data() + token.size(), value);
-    if (code != std::errc{} || end != token.data() + token.size() || value > (std::uint64_t{1} << 48)) fail(concat("'", token.substr(0, 40), "' is not a count"));
+    if (code != std::errc{} || end != token.data() + token.size() || value > (std::uint64_t{1} << 48))
+      fail(concat("'", token.substr(0, 40), "' is not a count"));
     return value;
   }
 
@@ -103,9 +112,11 @@ class PcdHeaderParser {
     if (header_.fields.empty()) fail("no line FIELDS");
     if (!points_ && !width_) fail("neither POINTS nor WIDTH");
     const std::uint64_t height = height_.value_or(1);
-    if (width_ && height != 0 && *width_ > (std::uint64_t{1} << 60) / height) fail(concat("WIDTH ", *width_, " and HEIGHT ", height, " are too large"));
+    if (width_ && height != 0 && *width_ > (std::uint64_t{1} << 60) / height)
+      fail(concat("WIDTH ", *width_, " and HEIGHT ", height, " are too large"));
     header_.points = points_ ? *points_ : *width_ * height;
-    if (width_ && *width_ * height != header_.points) fail(concat("POINTS is ", header_.points, ", WIDTH times HEIGHT is ", *width_ * height));
+    if (width_ && *width_ * height != header_.points)
+      fail(concat("POINTS is ", header_.points, ", WIDTH times HEIGHT is ", *width_ * height));
     if (header_.points == 0) throw Error(concat(file_.path().string(), ": holds no points"));
     header_.offset = lines_.next_offset();
     header_.line = lines_.next_line();
@@ -129,12 +140,16 @@ ScalarType scalar_type(const File& file, const PcdField& field) {
   if (field.type == 'F') type = of({{4, kF32}, {8, kF64}});
   if (field.type == 'U') type = of({{1, kU8}, {2, kU16}, {4, kU32}, {8, kU64}});
   if (field.type == 'I') type = of({{1, kI8}, {2, kI16}, {4, kI32}, {8, kI64}});
-  if (!type) throw Error(concat(file.path().string(), ": field '", field.name, "' has TYPE ", field.type, " and SIZE ", field.bytes, ", expected F 4 8, U or I 1 2 4 8"));
+  if (!type)
+    throw Error(concat(file.path().string(), ": field '", field.name, "' has TYPE ", field.type, " and SIZE ", field.bytes,
+                       ", expected F 4 8, U or I 1 2 4 8"));
   return *type;
 }
 
 // PCL packs a colour into one value: blue, green, red and alpha from the lowest byte.
-bool is_packed_colour(const PcdField& field) { return (field.name == "rgb" || field.name == "rgba") && field.bytes == 4 && field.count == 1; }
+bool is_packed_colour(const PcdField& field) {
+  return (field.name == "rgb" || field.name == "rgba") && field.bytes == 4 && field.count == 1;
+}
 
 void add_fields(const PcdField& field, ScalarType type, std::size_t offset, RowLayout& layout) {
   const auto add = [&](const std::string& name, ScalarType t, std::size_t at) {
@@ -152,7 +167,8 @@ void add_fields(const PcdField& field, ScalarType type, std::size_t offset, RowL
     if (field.name == "rgba") add("alpha", ScalarType::kU8, offset + 3);
     return;
   }
-  for (std::size_t k = 0; k < field.count; ++k) add(field.count == 1 ? field.name : concat(field.name, "_", k), type, offset + k * scalar_bytes(type));
+  for (std::size_t k = 0; k < field.count; ++k)
+    add(field.count == 1 ? field.name : concat(field.name, "_", k), type, offset + k * scalar_bytes(type));
 }
 
 struct PcdLayout {
@@ -166,9 +182,11 @@ PcdLayout packed_layout(const File& file, const PcdHeader& header) {
   for (const PcdField& field : header.fields) {
     const ScalarType type = scalar_type(file, field);
     if (field.count == 0 || field.count > kMaxValues - layout.columns.size())
-      throw Error(concat(file.path().string(), ": field '", field.name, "' has ", field.count, " values, expected 1 or more and at most ", kMaxValues, " in all"));
+      throw Error(concat(file.path().string(), ": field '", field.name, "' has ", field.count, " values, expected 1 or more and at most ",
+                         kMaxValues, " in all"));
     add_fields(field, type, layout.row.row_bytes, layout.row);
-    for (std::size_t k = 0; k < field.count; ++k) layout.columns.push_back({field.name, type, layout.row.row_bytes + k * scalar_bytes(type)});
+    for (std::size_t k = 0; k < field.count; ++k)
+      layout.columns.push_back({field.name, type, layout.row.row_bytes + k * scalar_bytes(type)});
     layout.row.row_bytes += field.count * field.bytes;
   }
   return layout;
@@ -203,17 +221,22 @@ void check_compressed(const File& file, const PcdHeader& header, std::size_t row
   std::uint32_t sizes[2];
   file.read_at(header.offset, sizes, sizeof sizes);
   const std::uint64_t left = file.size() - header.offset - sizeof sizes;
-  if (sizes[0] > left) throw Error(concat(file.path().string(), ": offset ", header.offset, ": ", sizes[0], " compressed bytes declared, the file holds ", left));
+  if (sizes[0] > left)
+    throw Error(
+        concat(file.path().string(), ": offset ", header.offset, ": ", sizes[0], " compressed bytes declared, the file holds ", left));
   std::uint64_t packed = 0;
   for (const PcdField& field : header.fields)
     if (field.name != "_") packed += field.bytes * field.count;
   if (header.points > (std::uint64_t{1} << 40) / row_bytes || sizes[1] != header.points * packed)
-    throw Error(concat(file.path().string(), ": offset ", header.offset + 4, ": ", sizes[1], " bytes of points declared, expected ", header.points, " points of ", packed, " bytes"));
+    throw Error(concat(file.path().string(), ": offset ", header.offset + 4, ": ", sizes[1], " bytes of points declared, expected ",
+                       header.points, " points of ", packed, " bytes"));
   // LZF copies at most 264 bytes for 3 bytes of input.
-  if (sizes[1] / 264 > sizes[0]) throw Error(concat(file.path().string(), ": offset ", header.offset, ": ", sizes[0], " compressed bytes cannot give ", sizes[1]));
+  if (sizes[1] / 264 > sizes[0])
+    throw Error(concat(file.path().string(), ": offset ", header.offset, ": ", sizes[0], " compressed bytes cannot give ", sizes[1]));
   const std::uint64_t needed = sizes[0] + 2 * header.points * row_bytes;
   if (needed > memory_bytes)
-    throw Error(concat(file.path().string(), ": a compressed PCD is read whole and needs ", needed, " bytes, ", memory_bytes, " are allowed; convert it to DATA binary"));
+    throw Error(concat(file.path().string(), ": a compressed PCD is read whole and needs ", needed, " bytes, ", memory_bytes,
+                       " are allowed; convert it to DATA binary"));
 }
 
 std::unique_ptr<PointReader> open_compressed(const File& file, const PcdHeader& header) {
@@ -225,7 +248,8 @@ std::unique_ptr<PointReader> open_compressed(const File& file, const PcdHeader& 
   for (const PclCloud::Field& f : cloud.fields) {
     const PcdField field{f.name, f.bytes, f.count, f.type};
     const ScalarType type = scalar_type(file, field);
-    if (f.count == 0 || f.offset + f.count * f.bytes > cloud.row_bytes) throw Error(concat(file.path().string(), ": field '", f.name, "' lies outside the point"));
+    if (f.count == 0 || f.offset + f.count * f.bytes > cloud.row_bytes)
+      throw Error(concat(file.path().string(), ": field '", f.name, "' lies outside the point"));
     add_fields(field, type, f.offset, layout);
   }
   RowDecoder decoder(file.path(), std::move(layout), header.points);

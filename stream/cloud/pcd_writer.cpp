@@ -43,7 +43,9 @@ class PcdWriter final : public RowWriter {
     for (const Field& field : fields_) out_bytes_ += scalar_bytes(field.type);
   }
 
-  static std::string pcl_name(const std::string& name) { return name == "nx" || name == "ny" || name == "nz" ? concat("normal_", name[1]) : name; }
+  static std::string pcl_name(const std::string& name) {
+    return name == "nx" || name == "ny" || name == "nz" ? concat("normal_", name[1]) : name;
+  }
 
   static char type_letter(ScalarType type) {
     if (is_float(type)) return 'F';
@@ -60,8 +62,8 @@ class PcdWriter final : public RowWriter {
     }
     for (const std::string& comment : options_.comments) comments += concat("# ", one_line(comment), "\n");
     const std::uint64_t n = options_.num_points;
-    return concat("# .PCD v0.7 - Point Cloud Data file format\n", comments, "VERSION 0.7\n", names, "\n", sizes, "\n", types, "\n", counts, "\nWIDTH ", n,
-                  "\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS ", n, "\nDATA binary\n");
+    return concat("# .PCD v0.7 - Point Cloud Data file format\n", comments, "VERSION 0.7\n", names, "\n", sizes, "\n", types, "\n", counts,
+                  "\nWIDTH ", n, "\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS ", n, "\nDATA binary\n");
   }
 
   void write_rows(const std::byte* rows, std::size_t count) override {

@@ -66,7 +66,8 @@ PclCloud pcl_read_pcd(const fs::path& path) {
   const void* data = nullptr;
   std::size_t bytes = 0;
   functions.rows(handle, &data, &bytes, &cloud.row_bytes, &cloud.num_points);
-  if (cloud.row_bytes == 0 || bytes / cloud.row_bytes < cloud.num_points) throw Error(concat(path.string(), ": PCL gave ", bytes, " bytes for ", cloud.num_points, " points"));
+  if (cloud.row_bytes == 0 || bytes / cloud.row_bytes < cloud.num_points)
+    throw Error(concat(path.string(), ": PCL gave ", bytes, " bytes for ", cloud.num_points, " points"));
   cloud.rows = {static_cast<const std::byte*>(data), bytes};
   return cloud;
 }

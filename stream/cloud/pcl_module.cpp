@@ -1,22 +1,22 @@
-// Everything that uses PCL, behind the C interface of pcl_module_abi.h. Built as a module of its own and loaded when first needed: PCL's I/O library
-// brings VTK along, which costs start-up time and memory in every process that links it.
-#include <pcl/PCLPointCloud2.h>
+// Everything that uses PCL, behind the C interface of pcl_module_abi.h. Built as a module of its own and loaded when first needed: PCL's
+// I/O library brings VTK along, which costs start-up time and memory in every process that links it.
 #include <pcl/console/print.h>
 #include <pcl/filters/statistical_outlier_removal.h>
 #include <pcl/io/pcd_io.h>
 #include <pcl/kdtree/kdtree_flann.h>
+#include <pcl/PCLPointCloud2.h>
 #include <pcl/point_cloud.h>
 #include <pcl/point_types.h>
 #include <pcl/registration/icp.h>
 #include <pcl/registration/transformation_estimation_point_to_plane_lls.h>
 
-#include <Eigen/Eigenvalues>
-#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
+#include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 #include <exception>
 #include <limits>
 #include <memory>
@@ -117,14 +117,16 @@ int tree_new(const float* points, std::size_t count, void** out, char* message) 
 
 void tree_free(void* tree) { delete static_cast<Tree*>(tree); }
 
-std::size_t tree_search(const void* tree_handle, const float* queries, std::size_t num_queries, std::size_t k, std::uint32_t* indices, float* squared) {
+std::size_t tree_search(const void* tree_handle, const float* queries, std::size_t num_queries, std::size_t k, std::uint32_t* indices,
+                        float* squared) {
   const Tree& tree = *static_cast<const Tree*>(tree_handle);
   const std::size_t found = std::min<std::size_t>(k, tree.getInputCloud()->size());
   if (found == 0) return 0;
   pcl::Indices neighbours;
   std::vector<float> distances;
   for (std::size_t q = 0; q < num_queries; ++q) {
-    tree.nearestKSearch(pcl::PointXYZ(queries[3 * q], queries[3 * q + 1], queries[3 * q + 2]), static_cast<unsigned>(found), neighbours, distances);
+    tree.nearestKSearch(pcl::PointXYZ(queries[3 * q], queries[3 * q + 1], queries[3 * q + 2]), static_cast<unsigned>(found), neighbours,
+                        distances);
     for (std::size_t j = 0; j < found; ++j) {
       indices[q * k + j] = static_cast<std::uint32_t>(neighbours[j]);
       squared[q * k + j] = distances[j];
@@ -206,17 +208,21 @@ class Counting : public Registration {
   int iterations() const { return this->nr_iterations_; }
 };
 
-/// Point-to-plane step that leaves alone what the pairs do not determine (sliding along a plane, turning about an axis). PCL's own estimator divides by
-/// the vanishing eigenvalue there, and its neighbour search then ends the process at the first coordinate that is not a number.
+/// Point-to-plane step that leaves alone what the pairs do not determine (sliding along a plane, turning about an axis). PCL's own
+/// estimator divides by the vanishing eigenvalue there, and its neighbour search then ends the process at the first coordinate that is not
+/// a number.
 class DeterminedPointToPlane : public pcl::registration::TransformationEstimationPointToPlaneLLS<pcl::PointNormal, pcl::PointNormal> {
   using Base = pcl::registration::TransformationEstimationPointToPlaneLLS<pcl::PointNormal, pcl::PointNormal>;
 
  public:
   using Base::estimateRigidTransformation;
-  void estimateRigidTransformation(const Oriented& source, const Oriented& target, const pcl::Correspondences& pairs, Matrix4& transform) const override {
+  void estimateRigidTransformation(const Oriented& source, const Oriented& target, const pcl::Correspondences& pairs,
+                                   Matrix4& transform) const override {
     transform.setIdentity();
     if (pairs.empty()) return;
-    const auto from = [&](const pcl::Correspondence& c) -> Eigen::Vector3d { return source[static_cast<std::size_t>(c.index_query)].getVector3fMap().cast<double>(); };
+    const auto from = [&](const pcl::Correspondence& c) -> Eigen::Vector3d {
+      return source[static_cast<std::size_t>(c.index_query)].getVector3fMap().cast<double>();
+    };
     Eigen::Vector3d middle = Eigen::Vector3d::Zero();
     for (const auto& c : pairs) middle += from(c);
     middle /= static_cast<double>(pairs.size());
@@ -292,7 +298,8 @@ Oriented::Ptr bare(const Points& cloud) {
   return oriented;
 }
 
-/// Coarse to fine: thin clouds and far partners first, point to point; then all points against the planes of the target, with partners ever closer.
+/// Coarse to fine: thin clouds and far partners first, point to point; then all points against the planes of the target, with partners ever
+/// closer.
 void align(const Points::Ptr& source, const Points::Ptr& target, double max_distance, int max_iterations, ChiaroPclIcp& out) {
   Tree tree;
   tree.setInputCloud(target);
@@ -314,7 +321,8 @@ void align(const Points::Ptr& source, const Points::Ptr& target, double max_dist
     IcpState next = state;
     next.iterations = 0;
     const Oriented::Ptr& moving = last ? all_oriented : thin_oriented;
-    const bool ran = run_icp<pcl::IterativeClosestPointWithNormals<pcl::PointNormal, pcl::PointNormal>>(moving, oriented, distance, max_iterations, step, next);
+    const bool ran = run_icp<pcl::IterativeClosestPointWithNormals<pcl::PointNormal, pcl::PointNormal>>(moving, oriented, distance,
+                                                                                                        max_iterations, step, next);
     state.iterations += next.iterations;
     const Fit fit = ran ? fit_of(*thin, tree, next.transform, max_distance) : Fit{};
     // A level that does not bring the clouds closer is not taken.
@@ -333,8 +341,8 @@ void align(const Points::Ptr& source, const Points::Ptr& target, double max_dist
     for (int c = 0; c < 4; ++c) out.target_from_source[4 * r + c] = static_cast<double>(state.transform(r, c));
 }
 
-int align_icp(const float* source, std::size_t num_source, const float* target, std::size_t num_target, double max_distance, int max_iterations, ChiaroPclIcp* out,
-              char* message) {
+int align_icp(const float* source, std::size_t num_source, const float* target, std::size_t num_target, double max_distance,
+              int max_iterations, ChiaroPclIcp* out, char* message) {
   return guarded(message, [&] { align(cloud_of(source, num_source), cloud_of(target, num_target), max_distance, max_iterations, *out); });
 }
 
@@ -343,6 +351,7 @@ int align_icp(const float* source, std::size_t num_source, const float* target, 
 extern "C" __attribute__((visibility("default"))) const ChiaroPclFunctions* chiaro_pcl_functions(void) {
   // PCL writes its complaints to the terminal; ours reach the user as messages.
   pcl::console::setVerbosityLevel(pcl::console::L_ALWAYS);
-  static const ChiaroPclFunctions functions = {CHIARO_PCL_ABI, read_pcd, free_cloud, num_fields, field, rows, statistical_inliers, tree_new, tree_free, tree_search, align_icp};
+  static const ChiaroPclFunctions functions = {CHIARO_PCL_ABI,      read_pcd, free_cloud, num_fields,  field,    rows,
+                                               statistical_inliers, tree_new, tree_free,  tree_search, align_icp};
   return &functions;
 }

@@ -1,5 +1,5 @@
-/// Reaches the loadable module with everything that uses PCL. PCL's I/O library brings VTK along, so it is loaded when first needed and not before.
-/// Internal to stream/cloud; pcl_tools.h is the public face.
+/// Reaches the loadable module with everything that uses PCL. PCL's I/O library brings VTK along, so it is loaded when first needed and not
+/// before. Internal to stream/cloud; pcl_tools.h is the public face.
 #pragma once
 #include <cstddef>
 #include <cstdint>

@@ -21,7 +21,8 @@ typedef struct ChiaroPclIcp {
   int converged, iterations;
 } ChiaroPclIcp;
 
-/* Functions that return int give 0, or 1 with a message of at most CHIARO_PCL_MESSAGE_BYTES with its end. Points are x y z as floats, all finite. */
+/* Functions that return int give 0, or 1 with a message of at most CHIARO_PCL_MESSAGE_BYTES with its end. Points are x y z as floats, all
+ * finite. */
 typedef struct ChiaroPclFunctions {
   int abi;
   int (*read_pcd)(const char* path, void** cloud, char* message);
@@ -34,10 +35,11 @@ typedef struct ChiaroPclFunctions {
   /* A k-d tree over a copy of the points. Searching is safe from many threads. */
   int (*tree_new)(const float* points, size_t count, void** tree, char* message);
   void (*tree_free)(void* tree);
-  /* Nearest `k` points of each query, nearest first: indices and squared distances, k per query; returns how many per query (min(k, points)). */
+  /* Nearest `k` points of each query, nearest first: indices and squared distances, k per query; returns how many per query (min(k,
+   * points)). */
   size_t (*tree_search)(const void* tree, const float* queries, size_t num_queries, size_t k, uint32_t* indices, float* squared);
-  int (*align_icp)(const float* source, size_t num_source, const float* target, size_t num_target, double max_distance, int max_iterations, ChiaroPclIcp* out,
-                   char* message);
+  int (*align_icp)(const float* source, size_t num_source, const float* target, size_t num_target, double max_distance, int max_iterations,
+                   ChiaroPclIcp* out, char* message);
 } ChiaroPclFunctions;
 
 /* The one symbol that is looked up. */

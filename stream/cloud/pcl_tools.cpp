@@ -69,7 +69,8 @@ bool pcl_is_available() {
 }
 
 std::vector<std::uint8_t> statistical_inliers(std::span<const Vec3d> points, int neighbours, double multiplier) {
-  if (neighbours < 1 || std::isnan(multiplier)) throw std::invalid_argument("statistical_inliers: neighbours must be 1 or more and the multiplier a number");
+  if (neighbours < 1 || std::isnan(multiplier))
+    throw std::invalid_argument("statistical_inliers: neighbours must be 1 or more and the multiplier a number");
   std::vector<std::uint8_t> keep(points.size(), 1);
   std::vector<std::size_t> indices;
   const std::vector<Vec3d> finite = finite_ones(points, &indices);
@@ -79,7 +80,8 @@ std::vector<std::uint8_t> statistical_inliers(std::span<const Vec3d> points, int
   const std::vector<float> floats = floats_of(finite, median_of(finite));
   std::vector<std::uint8_t> kept(finite.size());
   char message[CHIARO_PCL_MESSAGE_BYTES] = {};
-  check_pcl(pcl_functions().statistical_inliers(floats.data(), finite.size(), k, multiplier, kept.data(), message), message, "statistical outlier removal");
+  check_pcl(pcl_functions().statistical_inliers(floats.data(), finite.size(), k, multiplier, kept.data(), message), message,
+            "statistical outlier removal");
   for (std::size_t i = 0; i < kept.size(); ++i) keep[indices[i]] = kept[i];
   return keep;
 }
@@ -93,7 +95,8 @@ NeighbourTree::NeighbourTree(std::span<const Vec3d> points) : points_(points), o
   tree_ = std::shared_ptr<void>(tree, pcl_functions().tree_free);
 }
 
-std::size_t NeighbourTree::search(std::span<const Vec3d> queries, std::size_t k, std::vector<std::uint32_t>& indices, std::vector<double>& distances) const {
+std::size_t NeighbourTree::search(std::span<const Vec3d> queries, std::size_t k, std::vector<std::uint32_t>& indices,
+                                  std::vector<double>& distances) const {
   if (!tree_) return 0;
   const std::vector<float> floats = floats_of(queries, origin_);
   std::vector<float> squared(queries.size() * k);
@@ -108,14 +111,18 @@ std::size_t NeighbourTree::search(std::span<const Vec3d> queries, std::size_t k,
 }
 
 IcpResult align_icp(std::span<const Vec3d> source, std::span<const Vec3d> target, double max_distance, int max_iterations) {
-  if (!(max_distance > 0) || !std::isfinite(max_distance) || max_iterations < 1) throw std::invalid_argument("align_icp: max_distance and max_iterations must be positive");
+  if (!(max_distance > 0) || !std::isfinite(max_distance) || max_iterations < 1)
+    throw std::invalid_argument("align_icp: max_distance and max_iterations must be positive");
   const std::vector<Vec3d> from = finite_ones(source), to = finite_ones(target);
-  if (from.size() < 3 || to.size() < 3) throw Error(concat("ICP needs 3 points or more in each cloud, got ", from.size(), " and ", to.size()));
+  if (from.size() < 3 || to.size() < 3)
+    throw Error(concat("ICP needs 3 points or more in each cloud, got ", from.size(), " and ", to.size()));
   const Vec3d origin = median_of(to);
   const std::vector<float> from_floats = floats_of(from, origin), to_floats = floats_of(to, origin);
   ChiaroPclIcp icp{};
   char message[CHIARO_PCL_MESSAGE_BYTES] = {};
-  check_pcl(pcl_functions().align_icp(from_floats.data(), from.size(), to_floats.data(), to.size(), max_distance, max_iterations, &icp, message), message, "ICP");
+  check_pcl(
+      pcl_functions().align_icp(from_floats.data(), from.size(), to_floats.data(), to.size(), max_distance, max_iterations, &icp, message),
+      message, "ICP");
   const Eigen::Translation3d to_middle(-origin), back(origin);
   IcpResult result;
   result.target_from_source = back * rigid(icp.target_from_source) * to_middle;

@@ -12,8 +12,8 @@ namespace chiaro::stream {
 /// True if the module with PCL can be loaded; never throws.
 bool pcl_is_available();
 
-/// pcl::StatisticalOutlierRemoval: a point is an outlier if the mean distance to its `neighbours` nearest points exceeds the cloud's mean of that
-/// number by more than `multiplier` standard deviations.
+/// pcl::StatisticalOutlierRemoval: a point is an outlier if the mean distance to its `neighbours` nearest points exceeds the cloud's mean
+/// of that number by more than `multiplier` standard deviations.
 ///
 /// points      any frame; positions that are not finite are kept (1) and take no part.
 /// neighbours  >= 1; where the cloud has fewer, all of them.
@@ -24,11 +24,13 @@ std::vector<std::uint8_t> statistical_inliers(std::span<const Vec3d> points, int
 /// Nearest neighbours in a copy of the points (pcl::KdTreeFLANN). Searching is safe from many threads.
 class NeighbourTree {
  public:
-  /// points: all finite, must outlive the tree; searched as floats relative to their median (one far point must not cost the others their digits).
+  /// points: all finite, must outlive the tree; searched as floats relative to their median (one far point must not cost the others their
+  /// digits).
   explicit NeighbourTree(std::span<const Vec3d> points);
-  /// The `k` nearest points of each query: fills indices (PCL's order, by distance in float) and distances (sorted, in double from the given points),
-  /// k per query, and returns how many of them each query got: min(k, points).
-  std::size_t search(std::span<const Vec3d> queries, std::size_t k, std::vector<std::uint32_t>& indices, std::vector<double>& distances) const;
+  /// The `k` nearest points of each query: fills indices (PCL's order, by distance in float) and distances (sorted, in double from the
+  /// given points), k per query, and returns how many of them each query got: min(k, points).
+  std::size_t search(std::span<const Vec3d> queries, std::size_t k, std::vector<std::uint32_t>& indices,
+                     std::vector<double>& distances) const;
 
  private:
   std::shared_ptr<void> tree_;
@@ -38,17 +40,17 @@ class NeighbourTree {
 
 struct IcpResult {
   Eigen::Isometry3d target_from_source = Eigen::Isometry3d::Identity();
-  double rms_distance = 0;   ///< of source points to their partners at the finest level, project units
+  double rms_distance = 0;  ///< of source points to their partners at the finest level, project units
   bool converged = false;
-  int iterations = 0;        ///< of all levels together
+  int iterations = 0;  ///< of all levels together
 };
 
-/// Rigid motion that lays `source` onto `target` (pcl::IterativeClosestPoint coarse, then point to plane). Both clouds are taken relative to the
-/// target's median, so that floats suffice. Positions that are not finite take no part.
+/// Rigid motion that lays `source` onto `target` (pcl::IterativeClosestPoint coarse, then point to plane). Both clouds are taken relative
+/// to the target's median, so that floats suffice. Positions that are not finite take no part.
 ///
-/// max_distance    how far a source point may be from its partner at the start, project units; levels end at three times the target's point spacing.
-/// max_iterations  per level.
-/// throws          Error if the module is missing or a cloud has fewer than 3 points; std::invalid_argument for a distance or count that is not positive.
+/// max_distance    how far a source point may be from its partner at the start, project units; levels end at three times the target's point
+/// spacing. max_iterations  per level. throws          Error if the module is missing or a cloud has fewer than 3 points;
+/// std::invalid_argument for a distance or count that is not positive.
 IcpResult align_icp(std::span<const Vec3d> source, std::span<const Vec3d> target, double max_distance, int max_iterations);
 
 }  // namespace chiaro::stream

@@ -44,9 +44,9 @@ struct PlyHeader {
 std::optional<ScalarType> ply_type(std::string_view name) {
   using enum ScalarType;
   constexpr std::pair<std::string_view, ScalarType> kTypes[] = {
-      {"char", kI8}, {"uchar", kU8}, {"short", kI16}, {"ushort", kU16}, {"int", kI32}, {"uint", kU32}, {"float", kF32}, {"double", kF64},
-      {"int8", kI8}, {"uint8", kU8}, {"int16", kI16}, {"uint16", kU16}, {"int32", kI32}, {"uint32", kU32}, {"float32", kF32}, {"float64", kF64},
-      {"int64", kI64}, {"uint64", kU64}};
+      {"char", kI8},   {"uchar", kU8},   {"short", kI16},   {"ushort", kU16},  {"int", kI32},   {"uint", kU32},
+      {"float", kF32}, {"double", kF64}, {"int8", kI8},     {"uint8", kU8},    {"int16", kI16}, {"uint16", kU16},
+      {"int32", kI32}, {"uint32", kU32}, {"float32", kF32}, {"float64", kF64}, {"int64", kI64}, {"uint64", kU64}};
   for (const auto& [known, type] : kTypes)
     if (known == name) return type;
   return std::nullopt;
@@ -61,7 +61,8 @@ class HeaderParser {
     if (!lines_.next(line) || trimmed(line) != "ply") fail(file_, 1, "expected 'ply'");
     for (;;) {
       if (!lines_.next(line)) fail(file_, lines_.line(), "the file ends before 'end_header'");
-      if (lines_.next_offset() > kMaxHeaderBytes) fail(file_, lines_.line(), concat("no 'end_header' in the first ", kMaxHeaderBytes, " bytes"));
+      if (lines_.next_offset() > kMaxHeaderBytes)
+        fail(file_, lines_.line(), concat("no 'end_header' in the first ", kMaxHeaderBytes, " bytes"));
       split_line(line, ' ', tokens_);
       if (tokens_.empty() || tokens_[0] == "comment" || tokens_[0] == "obj_info") continue;
       if (tokens_[0] == "end_header") break;
@@ -80,15 +81,21 @@ class HeaderParser {
     if (tokens_[0] == "format") return parse_format();
     if (tokens_[0] == "element") return parse_element();
     if (tokens_[0] == "property") return parse_property();
-    fail(file_, lines_.line(), concat("unknown keyword '", tokens_[0].substr(0, 40), "', expected format, element, property, comment, obj_info or end_header"));
+    fail(file_, lines_.line(),
+         concat("unknown keyword '", tokens_[0].substr(0, 40), "', expected format, element, property, comment, obj_info or end_header"));
   }
 
   void parse_format() {
     if (tokens_.size() != 3 || tokens_[2] != "1.0") fail(file_, lines_.line(), "expected 'format ENCODING 1.0'");
-    if (tokens_[1] == "ascii") header_.encoding = Encoding::kAscii;
-    else if (tokens_[1] == "binary_little_endian") header_.encoding = Encoding::kLittle;
-    else if (tokens_[1] == "binary_big_endian") header_.encoding = Encoding::kBig;
-    else fail(file_, lines_.line(), concat("encoding '", tokens_[1].substr(0, 40), "', expected ascii, binary_little_endian or binary_big_endian"));
+    if (tokens_[1] == "ascii")
+      header_.encoding = Encoding::kAscii;
+    else if (tokens_[1] == "binary_little_endian")
+      header_.encoding = Encoding::kLittle;
+    else if (tokens_[1] == "binary_big_endian")
+      header_.encoding = Encoding::kBig;
+    else
+      fail(file_, lines_.line(),
+           concat("encoding '", tokens_[1].substr(0, 40), "', expected ascii, binary_little_endian or binary_big_endian"));
     has_format_ = true;
   }
 
@@ -108,7 +115,8 @@ class HeaderParser {
     if (header_.elements.empty()) fail(file_, lines_.line(), "a property before the first element");
     PlyProperty property;
     property.is_list = tokens_.size() > 1 && tokens_[1] == "list";
-    if (tokens_.size() != (property.is_list ? 5u : 3u)) fail(file_, lines_.line(), "expected 'property TYPE NAME' or 'property list TYPE TYPE NAME'");
+    if (tokens_.size() != (property.is_list ? 5u : 3u))
+      fail(file_, lines_.line(), "expected 'property TYPE NAME' or 'property list TYPE TYPE NAME'");
     property.type = type_of(tokens_[property.is_list ? 3 : 1]);
     if (property.is_list) property.count_type = type_of(tokens_[2]);
     if (property.is_list && is_float(property.count_type)) fail(file_, lines_.line(), "the length of a list has a floating point type");
@@ -143,8 +151,8 @@ class ElementSkipper {
     }
     if (row_bytes == 0) return offset;
     if (offset > size_ || element.count > (size_ - offset) / row_bytes)
-      throw Error(concat(file_.path().string(), ": the header declares ", element.count, " of element '", element.name, "', which do not fit the ", size_,
-                         " bytes of the file"));
+      throw Error(concat(file_.path().string(), ": the header declares ", element.count, " of element '", element.name,
+                         "', which do not fit the ", size_, " bytes of the file"));
     if (!has_list) return offset + element.count * row_bytes;
     for (std::uint64_t i = 0; i < element.count; ++i)
       for (const PlyProperty& property : element.properties) offset += property_bytes(element, property, offset);
@@ -160,8 +168,8 @@ class ElementSkipper {
     if (swap_bytes_) std::reverse(bytes, bytes + count_bytes);
     const double count = load_scalar(property.count_type, bytes);
     if (count < 0 || count * static_cast<double>(scalar_bytes(property.type)) > static_cast<double>(size_ - offset))
-      throw Error(concat(file_.path().string(), ": offset ", offset, ": list '", property.name, "' of element '", element.name, "' has ", count,
-                         " entries, the file has ", size_, " bytes"));
+      throw Error(concat(file_.path().string(), ": offset ", offset, ": list '", property.name, "' of element '", element.name, "' has ",
+                         count, " entries, the file has ", size_, " bytes"));
     return count_bytes + static_cast<std::uint64_t>(count) * scalar_bytes(property.type);
   }
 
@@ -185,7 +193,8 @@ class ElementSkipper {
 RowLayout vertex_layout(const File& file, const PlyElement& vertex) {
   RowLayout layout;
   for (const PlyProperty& property : vertex.properties) {
-    if (property.is_list) throw Error(concat(file.path().string(), ": the list '", property.name, "' inside the element 'vertex' is not supported"));
+    if (property.is_list)
+      throw Error(concat(file.path().string(), ": the list '", property.name, "' inside the element 'vertex' is not supported"));
     RowField field;
     field.name = property.name;
     field.type = property.type;
@@ -203,7 +212,9 @@ std::unique_ptr<PointReader> open_ascii(File file, const PlyHeader& header, std:
     const PlyElement& element = header.elements[e];
     for (std::uint64_t i = 0; !element.properties.empty() && i < element.count; ++i) {
       do {
-        if (!lines.next(line)) throw Error(concat(file.path().string(), ": ", i, " of ", element.count, " lines of element '", element.name, "', the file ends early"));
+        if (!lines.next(line))
+          throw Error(
+              concat(file.path().string(), ": ", i, " of ", element.count, " lines of element '", element.name, "', the file ends early"));
       } while (trimmed(line).empty());
     }
   }

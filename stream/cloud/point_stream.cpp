@@ -30,7 +30,9 @@ bool looks_like_pcd(const std::string& head) {
   return head.starts_with("# .PCD") || head.starts_with("#.PCD") || head.starts_with("VERSION ") || head.starts_with("FIELDS ");
 }
 
-bool looks_like_ply(const std::string& head) { return head.starts_with("ply") && head.size() > 3 && (head[3] == '\n' || head[3] == '\r' || head[3] == ' '); }
+bool looks_like_ply(const std::string& head) {
+  return head.starts_with("ply") && head.size() > 3 && (head[3] == '\n' || head[3] == '\r' || head[3] == ' ');
+}
 
 std::unique_ptr<PointReader> open_by_content(File file, std::uint64_t memory_bytes) {
   const fs::path path = file.path();
@@ -53,13 +55,17 @@ std::unique_ptr<PointReader> open_by_content(File file, std::uint64_t memory_byt
 std::size_t scalar_bytes(ScalarType type) {
   switch (type) {
     case ScalarType::kI8:
-    case ScalarType::kU8: return 1;
+    case ScalarType::kU8:
+      return 1;
     case ScalarType::kI16:
-    case ScalarType::kU16: return 2;
+    case ScalarType::kU16:
+      return 2;
     case ScalarType::kI32:
     case ScalarType::kU32:
-    case ScalarType::kF32: return 4;
-    default: return 8;
+    case ScalarType::kF32:
+      return 4;
+    default:
+      return 8;
   }
 }
 

@@ -24,21 +24,36 @@ std::string lower(std::string text) {
 enum Role { kX, kY, kZ, kNx, kNy, kNz, kRed, kGreen, kBlue, kNumRoles };
 
 int role_of(const std::string& name) {
-  static const std::map<std::string, Role, std::less<>> roles = {
-      {"x", kX}, {"y", kY}, {"z", kZ},
-      {"nx", kNx}, {"ny", kNy}, {"nz", kNz},
-      {"normal_x", kNx}, {"normal_y", kNy}, {"normal_z", kNz},
-      {"normalx", kNx}, {"normaly", kNy}, {"normalz", kNz},
-      {"red", kRed}, {"green", kGreen}, {"blue", kBlue},
-      {"diffuse_red", kRed}, {"diffuse_green", kGreen}, {"diffuse_blue", kBlue},
-      {"r", kRed}, {"g", kGreen}, {"b", kBlue}};
+  static const std::map<std::string, Role, std::less<>> roles = {{"x", kX},
+                                                                 {"y", kY},
+                                                                 {"z", kZ},
+                                                                 {"nx", kNx},
+                                                                 {"ny", kNy},
+                                                                 {"nz", kNz},
+                                                                 {"normal_x", kNx},
+                                                                 {"normal_y", kNy},
+                                                                 {"normal_z", kNz},
+                                                                 {"normalx", kNx},
+                                                                 {"normaly", kNy},
+                                                                 {"normalz", kNz},
+                                                                 {"red", kRed},
+                                                                 {"green", kGreen},
+                                                                 {"blue", kBlue},
+                                                                 {"diffuse_red", kRed},
+                                                                 {"diffuse_green", kGreen},
+                                                                 {"diffuse_blue", kBlue},
+                                                                 {"r", kRed},
+                                                                 {"g", kGreen},
+                                                                 {"b", kBlue}};
   const auto found = roles.find(lower(name));
   return found == roles.end() ? -1 : found->second;
 }
 
 void check_layout(const std::filesystem::path& path, const RowLayout& layout) {
-  if (layout.fields.size() > kMaxFields) throw Error(concat(path.string(), ": ", layout.fields.size(), " values per point, expected at most ", kMaxFields));
-  if (layout.row_bytes > kMaxRowBytes) throw Error(concat(path.string(), ": ", layout.row_bytes, " bytes per point, expected at most ", kMaxRowBytes));
+  if (layout.fields.size() > kMaxFields)
+    throw Error(concat(path.string(), ": ", layout.fields.size(), " values per point, expected at most ", kMaxFields));
+  if (layout.row_bytes > kMaxRowBytes)
+    throw Error(concat(path.string(), ": ", layout.row_bytes, " bytes per point, expected at most ", kMaxRowBytes));
   std::map<std::string, int, std::less<>> seen;
   for (const RowField& field : layout.fields)
     if (++seen[field.name] == 2) throw Error(concat(path.string(), ": two point properties are named '", field.name, "'"));
@@ -47,7 +62,8 @@ void check_layout(const std::filesystem::path& path, const RowLayout& layout) {
 }  // namespace
 
 std::string_view scalar_name(ScalarType type) {
-  constexpr std::array<std::string_view, 10> kNames = {"char", "uchar", "short", "ushort", "int", "uint", "int64", "uint64", "float", "double"};
+  constexpr std::array<std::string_view, 10> kNames = {"char", "uchar", "short",  "ushort", "int",
+                                                       "uint", "int64", "uint64", "float",  "double"};
   return kNames[static_cast<std::size_t>(type)];
 }
 
@@ -71,7 +87,8 @@ void RowDecoder::find_roles(const std::filesystem::path& path) {
     if (role < 0) continue;
     int& slot = index[static_cast<std::size_t>(role)];
     if (slot >= 0 && role <= kZ) {
-      throw Error(concat(path.string(), ": two coordinates '", layout_.fields[static_cast<std::size_t>(slot)].name, "' and '", layout_.fields[i].name, "'"));
+      throw Error(concat(path.string(), ": two coordinates '", layout_.fields[static_cast<std::size_t>(slot)].name, "' and '",
+                         layout_.fields[i].name, "'"));
     }
     if (slot < 0) slot = static_cast<int>(i);  // of two aliases the first counts; the second is an extra
   }
@@ -96,8 +113,8 @@ void RowDecoder::find_roles(const std::filesystem::path& path) {
   if (schema_.has_normal) take(kNx, normal_);
   if (schema_.has_colour) take(kRed, colour_);
   for (const RowField& f : position_)
-    schema_.position_is_double |= f.type == ScalarType::kF64 || f.type == ScalarType::kI32 || f.type == ScalarType::kU32 || f.type == ScalarType::kI64 ||
-                                  f.type == ScalarType::kU64;
+    schema_.position_is_double |= f.type == ScalarType::kF64 || f.type == ScalarType::kI32 || f.type == ScalarType::kU32 ||
+                                  f.type == ScalarType::kI64 || f.type == ScalarType::kU64;
   for (const RowField& f : colour_) samples_wanted_ |= schema_.has_colour && f.type != ScalarType::kU8;
   for (std::size_t i = 0; i < used.size(); ++i)
     if (!used[i]) add_extra(layout_.fields[i]);
@@ -109,7 +126,8 @@ void RowDecoder::add_extra(const RowField& field) {
   schema_.extras.push_back({field.name, type});
   if (field.scaled || field.mask) {
     sliced_.push_back({field, extra_bytes_});
-  } else if (!copies_.empty() && copies_.back().from + copies_.back().bytes == field.offset && copies_.back().to + copies_.back().bytes == extra_bytes_) {
+  } else if (!copies_.empty() && copies_.back().from + copies_.back().bytes == field.offset &&
+             copies_.back().to + copies_.back().bytes == extra_bytes_) {
     copies_.back().bytes += bytes;
   } else {
     copies_.push_back({field.offset, extra_bytes_, bytes});
@@ -146,52 +164,64 @@ void RowDecoder::decode(const std::byte* rows, std::size_t count, PointBlock& bl
   if (extra_bytes_ > 0) decode_extras(rows, count, block);
 }
 
+// The two layouts that nearly all large files have get loops of their own: plain floats, and integers with a scale.
 void RowDecoder::decode_positions(const std::byte* rows, std::size_t count, std::vector<Vec3d>& out) const {
-  const std::size_t first = out.size();
+  const std::size_t first = out.size(), row_bytes = layout_.row_bytes;
   out.resize(first + count);
-  const bool floats = position_[0].type == ScalarType::kF32 && position_[1].type == ScalarType::kF32 && position_[2].type == ScalarType::kF32 &&
-                      !position_[0].scaled && !position_[1].scaled && !position_[2].scaled;
-  for (std::size_t i = 0; i < count; ++i) {
-    const std::byte* row = rows + i * layout_.row_bytes;
-    Vec3d& p = out[first + i];
+  Vec3d* const to = out.data() + first;
+  const auto all = [&](ScalarType type, bool scaled) {
+    return std::all_of(position_, position_ + 3, [&](const RowField& f) { return f.type == type && f.scaled == scaled && f.mask == 0; });
+  };
+  const bool floats = all(ScalarType::kF32, false), integers = all(ScalarType::kI32, true);
+  for (int k = 0; k < 3; ++k) {
+    const RowField field = position_[k];
+    const std::byte* at = rows + field.offset;
     if (floats) {
-      for (int k = 0; k < 3; ++k) p[k] = static_cast<double>(load_as<float>(row + position_[k].offset));
+      for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = static_cast<double>(load_as<float>(at));
+    } else if (integers) {
+      for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = load_as<std::int32_t>(at) * field.scale + field.add;
     } else {
-      for (int k = 0; k < 3; ++k) p[k] = field_value(position_[k], row);
+      for (std::size_t i = 0; i < count; ++i) to[i][k] = field_value(field, rows + i * row_bytes);
     }
   }
 }
 
 void RowDecoder::decode_colours(const std::byte* rows, std::size_t count, PointBlock& block) const {
-  const std::size_t first = block.colour.size();
+  const std::size_t first = block.colour.size(), row_bytes = layout_.row_bytes;
   block.colour.resize(first + count);
-  for (std::size_t i = 0; i < count; ++i) {
-    const std::byte* row = rows + i * layout_.row_bytes;
-    for (std::size_t k = 0; k < 3; ++k) {
-      double value = 0;
-      if (!samples_wanted_) {
-        value = 257.0 * std::to_integer<int>(row[colour_[k].offset]);
-      } else {
-        value = field_value(colour_[k], row) * colour_scale_;
-        value = value > 0 ? std::min(value, 65535.0) : 0;  // NaN goes to 0 too
-      }
-      block.colour[first + i][k] = static_cast<std::uint16_t>(value + 0.5);
+  std::array<std::uint16_t, 3>* const to = block.colour.data() + first;
+  const auto encoded = [this](double value) {
+    value *= colour_scale_;
+    return static_cast<std::uint16_t>(value > 0 ? std::min(value, 65535.0) + 0.5 : 0);  // NaN goes to 0 too
+  };
+  for (std::size_t k = 0; k < 3; ++k) {
+    const RowField& field = colour_[k];
+    const std::byte* at = rows + field.offset;
+    if (field.type == ScalarType::kU8 && !samples_wanted_) {
+      for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = static_cast<std::uint16_t>(257 * std::to_integer<int>(*at));
+    } else if (field.type == ScalarType::kU16 && !field.scaled) {
+      for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = encoded(load_as<std::uint16_t>(at));
+    } else {
+      for (std::size_t i = 0; i < count; ++i) to[i][k] = encoded(field_value(field, rows + i * row_bytes));
     }
   }
 }
 
 void RowDecoder::decode_extras(const std::byte* rows, std::size_t count, PointBlock& block) const {
-  const std::size_t first = block.extras.size();
+  const std::size_t first = block.extras.size(), row_bytes = layout_.row_bytes;
   block.extras.resize(first + count * extra_bytes_);
-  for (std::size_t i = 0; i < count; ++i) {
-    const std::byte* row = rows + i * layout_.row_bytes;
-    std::byte* out = block.extras.data() + first + i * extra_bytes_;
-    for (const Copy& copy : copies_) std::memcpy(out + copy.to, row + copy.from, copy.bytes);
-    for (const Sliced& s : sliced_) {
-      if (s.field.scaled) {
-        store_as(out + s.to, field_value(s.field, row));
+  std::byte* const to = block.extras.data() + first;
+  for (std::size_t i = 0; i < count; ++i)
+    for (const Copy& copy : copies_) std::memcpy(to + i * extra_bytes_ + copy.to, rows + i * row_bytes + copy.from, copy.bytes);
+  for (const Sliced& sliced : sliced_) {
+    const RowField& field = sliced.field;
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::byte* row = rows + i * row_bytes;
+      std::byte* at = to + i * extra_bytes_ + sliced.to;
+      if (field.scaled) {
+        store_as(at, field_value(field, row));
       } else {
-        out[s.to] = static_cast<std::byte>((std::to_integer<unsigned>(row[s.field.offset]) >> s.field.shift) & s.field.mask);
+        *at = static_cast<std::byte>((std::to_integer<unsigned>(row[field.offset]) >> field.shift) & field.mask);
       }
     }
   }

@@ -10,7 +10,8 @@
 
 namespace chiaro::stream {
 
-/// One named value of a row. Its value is ((stored >> shift) & mask) where mask is set, times scale plus add where `scaled` is set (then a double).
+/// One named value of a row. Its value is ((stored >> shift) & mask) where mask is set, times scale plus add where `scaled` is set (then a
+/// double).
 struct RowField {
   std::string name;
   ScalarType type = ScalarType::kF32;
@@ -35,7 +36,8 @@ class RowDecoder {
   PointSchema& schema() { return schema_; }
   const PointSchema& schema() const { return schema_; }
 
-  /// Whether colours are 0..1, 0..255 or 0..65535 shows in their values only (16-bit fields often hold 8-bit colours): feed samples, then decide.
+  /// Whether colours are 0..1, 0..255 or 0..65535 shows in their values only (16-bit fields often hold 8-bit colours): feed samples, then
+  /// decide.
   bool needs_colour_samples() const { return samples_wanted_; }
   void sample_colours(const std::byte* rows, std::size_t count);
   void decide_colour_scale();

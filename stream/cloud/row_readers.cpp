@@ -31,8 +31,8 @@ class FixedRowReader : public PointReader {
     const std::uint64_t size = file_.size();
     const std::uint64_t available = size > rows_.offset ? (size - rows_.offset) / row_bytes : 0;
     if (available < rows_.count) {
-      throw Error(concat(file_.path().string(), ": the header declares ", rows_.count, " points of ", row_bytes, " bytes from offset ", rows_.offset,
-                         ", the file holds ", available, " (", size, " bytes)"));
+      throw Error(concat(file_.path().string(), ": the header declares ", rows_.count, " points of ", row_bytes, " bytes from offset ",
+                         rows_.offset, ", the file holds ", available, " (", size, " bytes)"));
     }
     buffer_.resize(std::max<std::size_t>(1, std::min<std::uint64_t>(kBufferBytes / row_bytes, rows_.count)) * row_bytes);
     if (decoder_.needs_colour_samples()) sample_colours();
@@ -107,7 +107,8 @@ class TextRowReader : public PointReader {
   void check_count() const {
     const std::uint64_t bytes = file_.size() > rows_.offset ? file_.size() - rows_.offset : 0;
     if (rows_.count && *rows_.count > bytes)
-      throw Error(concat(file_.path().string(), ": the header declares ", *rows_.count, " points, ", bytes, " bytes follow from line ", rows_.line));
+      throw Error(concat(file_.path().string(), ": the header declares ", *rows_.count, " points, ", bytes, " bytes follow from line ",
+                         rows_.line));
   }
 
   void sample_colours() {
@@ -129,14 +130,17 @@ class TextRowReader : public PointReader {
     return false;
   }
 
-  [[noreturn]] void fail(const std::string& what) const { throw Error(concat(file_.path().string(), ": line ", lines_.line(), ": ", what)); }
+  [[noreturn]] void fail(const std::string& what) const {
+    throw Error(concat(file_.path().string(), ": line ", lines_.line(), ": ", what));
+  }
 
   // The line of the next row. With all announced rows read, what follows in a text file is a further count, or rows that the count forgot.
   bool next_row(std::string_view& line) {
     while (!left_ || *left_ > 0 || rows_.to_end) {
       if (!next_row_line(line)) {
         if (!left_ || *left_ == 0) return false;
-        throw Error(concat(file_.path().string(), ": ", done_, " of ", announced_, " points read, the file ends early at line ", lines_.line()));
+        throw Error(
+            concat(file_.path().string(), ": ", done_, " of ", announced_, " points read, the file ends early at line ", lines_.line()));
       }
       if (!rows_.more_counts || !left_ || *left_ > 0 || !take_count(line)) return true;
     }
@@ -147,7 +151,8 @@ class TextRowReader : public PointReader {
     split_line(line, rows_.separator, tokens_);
     if (tokens_.size() != 1) return false;
     const double most = static_cast<double>(file_.size()), number = parse_number(tokens_[0]).value_or(-1);
-    if (!(number >= 0 && number <= most && number == std::floor(number))) fail(concat("'", tokens_[0].substr(0, 40), "' is not a number of points"));
+    if (!(number >= 0 && number <= most && number == std::floor(number)))
+      fail(concat("'", tokens_[0].substr(0, 40), "' is not a number of points"));
     left_ = static_cast<std::uint64_t>(number);
     announced_ += *left_;
     return true;
@@ -218,7 +223,8 @@ bool LineReader::next(std::string_view& line) {
     if (buffer_.empty()) return false;
     end_of_line = static_cast<const char*>(std::memchr(buffer_.data(), '\n', buffer_.size()));
     if (!end_of_line && buffer_.size() == kBufferBytes)
-      throw Error(concat(file_->path().string(), ": line ", next_line_, " (byte ", next_offset_, ") is longer than ", kBufferBytes, " bytes"));
+      throw Error(
+          concat(file_->path().string(), ": line ", next_line_, " (byte ", next_offset_, ") is longer than ", kBufferBytes, " bytes"));
   }
   const std::size_t end = end_of_line ? static_cast<std::size_t>(end_of_line - buffer_.data()) : buffer_.size();
   line = std::string_view(buffer_.data() + begin, end - begin);

@@ -20,9 +20,9 @@ class LineReader {
   LineReader(const File& file, std::uint64_t offset = 0, std::uint64_t line = 1) : file_(&file), next_offset_(offset), next_line_(line) {}
   /// False at the end of the file. The view holds until the next call. throws Error for a line longer than 1 MiB.
   bool next(std::string_view& line);
-  std::uint64_t line() const { return line_; }               ///< number of the line that next() gave
-  std::uint64_t line_offset() const { return line_offset_; } ///< byte where it starts
-  std::uint64_t next_offset() const { return next_offset_; } ///< byte where the next line starts
+  std::uint64_t line() const { return line_; }                ///< number of the line that next() gave
+  std::uint64_t line_offset() const { return line_offset_; }  ///< byte where it starts
+  std::uint64_t next_offset() const { return next_offset_; }  ///< byte where the next line starts
   std::uint64_t next_line() const { return next_line_; }
 
  private:
@@ -36,9 +36,9 @@ class LineReader {
 std::optional<double> parse_number(std::string_view token);
 
 struct FixedRows {
-  std::uint64_t offset = 0;      ///< of the first row in the file
+  std::uint64_t offset = 0;  ///< of the first row in the file
   std::uint64_t count = 0;
-  bool swap_bytes = false;       ///< big-endian rows: fields are swapped before decoding
+  bool swap_bytes = false;  ///< big-endian rows: fields are swapped before decoding
 };
 
 /// Rows of layout.row_bytes each. throws Error if the file holds fewer rows than `rows.count`.
@@ -47,20 +47,21 @@ std::unique_ptr<PointReader> read_fixed_rows(File file, RowDecoder decoder, cons
 struct TextColumn {
   std::string name;
   ScalarType type = ScalarType::kF64;
-  std::size_t offset = 0;        ///< in the packed row
+  std::size_t offset = 0;  ///< in the packed row
 };
 
 struct TextRows {
   std::vector<TextColumn> columns;
-  std::uint64_t offset = 0, line = 1;             ///< where the rows start
-  std::optional<std::uint64_t> count;             ///< rows announced; none: until the end of the file
-  char separator = ' ';                           ///< ' ' for any white space, else ',' or ';'
-  bool comments = false;                          ///< lines that start with # or // or % are skipped
-  bool more_counts = false;                       ///< a lone integer after `count` rows announces further rows (PTS with several scans)
-  bool to_end = false;                            ///< rows beyond `count` are read too (else what follows is not looked at)
+  std::uint64_t offset = 0, line = 1;  ///< where the rows start
+  std::optional<std::uint64_t> count;  ///< rows announced; none: until the end of the file
+  char separator = ' ';                ///< ' ' for any white space, else ',' or ';'
+  bool comments = false;               ///< lines that start with # or // or % are skipped
+  bool more_counts = false;            ///< a lone integer after `count` rows announces further rows (PTS with several scans)
+  bool to_end = false;                 ///< rows beyond `count` are read too (else what follows is not looked at)
 };
 
-/// throws Error with the line number for a wrong number of columns, a token that is not a number, a value its type cannot hold, fewer rows than announced.
+/// throws Error with the line number for a wrong number of columns, a token that is not a number, a value its type cannot hold, fewer rows
+/// than announced.
 std::unique_ptr<PointReader> read_text_rows(File file, RowDecoder decoder, TextRows rows);
 
 /// Splits at `separator`. throws nothing; a blank field between two separators gives an empty token.

@@ -29,7 +29,9 @@ RowWriter::RowWriter(const std::filesystem::path& path, const PointWriterOptions
   for (const PointProperty& property : options_.properties) {
     bool valid = !property.name.empty();
     for (const char c : property.name) valid &= c > ' ' && c < 127;
-    if (!valid) throw Error(concat(path.string(), ": '", one_line(property.name), "' cannot be a property name, expected printable characters without blanks"));
+    if (!valid)
+      throw Error(concat(path.string(), ": '", one_line(property.name),
+                         "' cannot be a property name, expected printable characters without blanks"));
     if (!names.insert(property.name).second) throw Error(concat(path.string(), ": property '", property.name, "' is given twice"));
   }
   for (const char* axis : {"x", "y", "z"})

@@ -26,16 +26,26 @@ void store_as(std::byte* at, T value) {
 template <class Visit>
 auto with_type(ScalarType type, const Visit& visit) {
   switch (type) {
-    case ScalarType::kI8: return visit(std::int8_t{});
-    case ScalarType::kU8: return visit(std::uint8_t{});
-    case ScalarType::kI16: return visit(std::int16_t{});
-    case ScalarType::kU16: return visit(std::uint16_t{});
-    case ScalarType::kI32: return visit(std::int32_t{});
-    case ScalarType::kU32: return visit(std::uint32_t{});
-    case ScalarType::kI64: return visit(std::int64_t{});
-    case ScalarType::kU64: return visit(std::uint64_t{});
-    case ScalarType::kF32: return visit(float{});
-    case ScalarType::kF64: break;
+    case ScalarType::kI8:
+      return visit(std::int8_t{});
+    case ScalarType::kU8:
+      return visit(std::uint8_t{});
+    case ScalarType::kI16:
+      return visit(std::int16_t{});
+    case ScalarType::kU16:
+      return visit(std::uint16_t{});
+    case ScalarType::kI32:
+      return visit(std::int32_t{});
+    case ScalarType::kU32:
+      return visit(std::uint32_t{});
+    case ScalarType::kI64:
+      return visit(std::int64_t{});
+    case ScalarType::kU64:
+      return visit(std::uint64_t{});
+    case ScalarType::kF32:
+      return visit(float{});
+    case ScalarType::kF64:
+      break;
   }
   return visit(double{});
 }

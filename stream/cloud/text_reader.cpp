@@ -50,7 +50,9 @@ std::vector<std::string> names_in(std::string_view line) {
 
 bool names_coordinates(const std::vector<std::string>& names) {
   for (const char axis : {'x', 'y', 'z'})
-    if (std::none_of(names.begin(), names.end(), [axis](const std::string& n) { return n.size() == 1 && std::tolower(static_cast<unsigned char>(n[0])) == axis; })) return false;
+    if (std::none_of(names.begin(), names.end(),
+                     [axis](const std::string& n) { return n.size() == 1 && std::tolower(static_cast<unsigned char>(n[0])) == axis; }))
+      return false;
   return true;
 }
 
@@ -84,7 +86,8 @@ class Samples {
   bool are_normals(std::size_t first) const {
     std::size_t units = 0;
     for (std::size_t i = 0; i < columns_[first].size(); ++i) {
-      const double length = std::sqrt(columns_[first][i] * columns_[first][i] + columns_[first + 1][i] * columns_[first + 1][i] + columns_[first + 2][i] * columns_[first + 2][i]);
+      const double length = std::sqrt(columns_[first][i] * columns_[first][i] + columns_[first + 1][i] * columns_[first + 1][i] +
+                                      columns_[first + 2][i] * columns_[first + 2][i]);
       constexpr double kTolerance = 0.02;  // three decimals per component, with room
       if (!(length == 0 || std::abs(length - 1) < kTolerance)) return false;
       units += length != 0;
@@ -102,20 +105,29 @@ std::vector<std::string> guess_names(const Samples& samples) {
   const auto colour = [&] { append({"red", "green", "blue"}); };
   const auto normal = [&] { append({"nx", "ny", "nz"}); };
   switch (samples.num_columns()) {
-    case 4: append({"intensity"}); break;
+    case 4:
+      append({"intensity"});
+      break;
     case 6:
-      if (samples.are_normals(3)) normal();
-      else if (samples.are_colours(3)) colour();
+      if (samples.are_normals(3))
+        normal();
+      else if (samples.are_colours(3))
+        colour();
       break;
     case 7:
-      if (samples.are_colours(4)) append({"intensity"}), colour();
-      else if (samples.are_colours(3)) colour(), append({"intensity"});
+      if (samples.are_colours(4))
+        append({"intensity"}), colour();
+      else if (samples.are_colours(3))
+        colour(), append({"intensity"});
       break;
     case 9:
-      if (samples.are_colours(3) && samples.are_normals(6)) colour(), normal();
-      else if (samples.are_normals(3) && samples.are_colours(6)) normal(), colour();
+      if (samples.are_colours(3) && samples.are_normals(6))
+        colour(), normal();
+      else if (samples.are_normals(3) && samples.are_colours(6))
+        normal(), colour();
       break;
-    default: break;
+    default:
+      break;
   }
   for (std::size_t k = names.size(); k < samples.num_columns(); ++k) names.push_back(concat("column_", k + 1));
   return names;
@@ -147,7 +159,9 @@ class TextOpener {
   }
 
  private:
-  [[noreturn]] void fail(std::uint64_t line, const std::string& what) const { throw Error(concat(file_.path().string(), ": line ", line, ": ", what)); }
+  [[noreturn]] void fail(std::uint64_t line, const std::string& what) const {
+    throw Error(concat(file_.path().string(), ": line ", line, ": ", what));
+  }
 
   bool next_line(LineReader& lines, std::string_view& line, bool skip_comments) {
     while (lines.next(line)) {
@@ -176,7 +190,8 @@ class TextOpener {
       if (!starts_with_number(tokens[0]) && names_line_ == 0) {
         names_ = names_in(line);
         names_line_ = lines.line();
-        if (!names_coordinates(names_)) fail(names_line_, concat("expected numbers, or the names of columns with x, y and z, found '", line.substr(0, 60), "'"));
+        if (!names_coordinates(names_))
+          fail(names_line_, concat("expected numbers, or the names of columns with x, y and z, found '", line.substr(0, 60), "'"));
         continue;
       }
       rows_.offset = lines.line_offset() + mark_bytes_;
@@ -188,7 +203,8 @@ class TextOpener {
 
   // "1,5" is a number with a decimal comma, not a name.
   static bool starts_with_number(std::string_view token) {
-    return parse_number(token) || (!token.empty() && ((token[0] >= '0' && token[0] <= '9') || token[0] == '-' || token[0] == '+' || token[0] == '.'));
+    return parse_number(token) ||
+           (!token.empty() && ((token[0] >= '0' && token[0] <= '9') || token[0] == '-' || token[0] == '+' || token[0] == '.'));
   }
 
   bool take_count(std::string_view token) {
@@ -218,14 +234,16 @@ class TextOpener {
   }
 
   void name_columns() {
-    if (num_columns_ < 3 || num_columns_ > kMaxColumns) fail(rows_.line, concat(num_columns_, " values, expected 3 to ", kMaxColumns, ": x y z and more"));
+    if (num_columns_ < 3 || num_columns_ > kMaxColumns)
+      fail(rows_.line, concat(num_columns_, " values, expected 3 to ", kMaxColumns, ": x y z and more"));
     if (names_line_ > 0 && names_.size() != num_columns_)
       fail(rows_.line, concat(num_columns_, " values, line ", names_line_, " names ", names_.size(), " columns"));
     if (names_.size() != num_columns_) {
       names_ = samples_.num_columns() > 0 ? guess_names(samples_) : std::vector<std::string>{"x", "y", "z"};
       while (names_.size() < num_columns_) names_.push_back(concat("column_", names_.size() + 1));
     }
-    for (std::size_t i = 0; i < num_columns_; ++i) rows_.columns.push_back({names_[i].empty() ? concat("column_", i + 1) : names_[i], ScalarType::kF64, 8 * i});
+    for (std::size_t i = 0; i < num_columns_; ++i)
+      rows_.columns.push_back({names_[i].empty() ? concat("column_", i + 1) : names_[i], ScalarType::kF64, 8 * i});
   }
 
   File file_;

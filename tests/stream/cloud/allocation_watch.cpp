@@ -1,9 +1,9 @@
 // In a file of its own, so that the compiler does not see through the pair and warn of free() behind new.
+#include "allocation_watch.h"
+
 #include <atomic>
 #include <cstdlib>
 #include <new>
-
-#include "allocation_watch.h"
 
 namespace {
 std::atomic<std::size_t> largest{0};

@@ -1,4 +1,5 @@
-// Every prefix and every single-byte change of a small valid file of each format is read or refused with an Error: no crash, no hang, no large memory.
+// Every prefix and every single-byte change of a small valid file of each format is read or refused with an Error: no crash, no hang, no
+// large memory.
 #include <gtest/gtest.h>
 
 #include "allocation_watch.h"
@@ -7,8 +8,8 @@
 namespace chiaro::stream {
 namespace {
 
-constexpr std::size_t kMostPoints = 1000;           // the files hold three
-constexpr std::size_t kLargestAllocation = 4 << 20; // buffers are of 1 MiB, blocks of what the file holds
+constexpr std::size_t kMostPoints = 1000;            // the files hold three
+constexpr std::size_t kLargestAllocation = 4 << 20;  // buffers are of 1 MiB, blocks of what the file holds
 
 class Corruption : public ::testing::TestWithParam<const char*> {
  protected:
@@ -53,19 +54,24 @@ std::string with_las_extra_record(std::string las) {
 }
 
 std::string Corruption::valid_file(const std::string& format) {
-  const std::string xyz = "property float x\nproperty float y\nproperty double z\nproperty uchar red\nproperty uchar green\nproperty ushort blue\n";
+  const std::string xyz =
+      "property float x\nproperty float y\nproperty double z\nproperty uchar red\nproperty uchar green\nproperty ushort blue\n";
   const std::string row = bytes_of(1.f, 2.f, 3.0) + "abc" + "d";
   if (format == "ascii.ply")
-    return "ply\nformat ascii 1.0\nelement camera 1\nproperty list uchar int ids\nelement vertex 3\n" + xyz + "end_header\n2 5 6\n1 2 3 4 5 6\n1 nan 3 4 5 6\n-1e3 2 3 4 5 600\n";
+    return "ply\nformat ascii 1.0\nelement camera 1\nproperty list uchar int ids\nelement vertex 3\n" + xyz +
+           "end_header\n2 5 6\n1 2 3 4 5 6\n1 nan 3 4 5 6\n-1e3 2 3 4 5 600\n";
   if (format == "little.ply" || format == "big.ply")
-    return std::string("ply\nformat binary_") + format.substr(0, format.find('.')) + "_endian 1.0\nelement camera 1\nproperty list uchar uchar ids\nelement vertex 3\n" + xyz + "end_header\n\x02zz" +
-           row + row + row + "faces?";
+    return std::string("ply\nformat binary_") + format.substr(0, format.find('.')) +
+           "_endian 1.0\nelement camera 1\nproperty list uchar uchar ids\nelement vertex 3\n" + xyz + "end_header\n\x02zz" + row + row +
+           row + "faces?";
   if (format == "legacy.las") return make_las(2, 3, std::vector<std::string>(3, std::string(34, '\1')));
   if (format == "new.las") return with_las_extra_record(make_las(4, 7, std::vector<std::string>(3, std::string(36 + 4, '\1'))));
   if (format == "names.csv") return "# comment\nx,y,z,R,G,B,quality\r\n1,2,3,255,0,7,0.5\r\n4,5,6,1,2,3,1e-3\r\n-7.5,.5,nan,0,0,0,0\r\n";
   if (format == "plain.xyz") return "1 2 3 0.6 0 0.8\n4 5 6 0 1 0\n7 8 9 1 0 0";
   if (format == "scan.pts") return "2\n1 2 3 -40 1 2 3\n4 5 6 7 8 9 10\n1\n1 2 3 4 5 6 7\n";
-  const std::string head = "VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 3\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA ";
+  const std::string head =
+      "VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 3\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS "
+      "3\nDATA ";
   if (format == "ascii.pcd") return head + "ascii\n1 2 3 77\nnan 5 6 99\n7 8 9 0\n";
   if (format == "binary.pcd") return head + "binary\n" + std::string(48, 'k');
   // LZF: literal runs of 32, then a copy of 8 + 9 - 1 bytes from one byte back.
@@ -118,8 +124,8 @@ TEST_P(Corruption, LongerNumbersAreReadOrRefused) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Formats, Corruption,
-                         ::testing::Values("ascii.ply", "little.ply", "big.ply", "legacy.las", "new.las", "names.csv", "plain.xyz", "scan.pts", "ascii.pcd", "binary.pcd",
-                                           "compressed.pcd"),
+                         ::testing::Values("ascii.ply", "little.ply", "big.ply", "legacy.las", "new.las", "names.csv", "plain.xyz",
+                                           "scan.pts", "ascii.pcd", "binary.pcd", "compressed.pcd"),
                          [](const auto& format) {
                            std::string name = format.param;
                            for (char& c : name) c = c == '.' ? '_' : c;

@@ -13,8 +13,8 @@ std::string make_las(int minor, int format, const std::vector<std::string>& reco
   const auto count = static_cast<std::uint32_t>(records.size());
   put(0, "LASF");
   put(24, bytes_of(std::uint8_t{1}, static_cast<std::uint8_t>(minor)));
-  put(94, bytes_of(static_cast<std::uint16_t>(header_bytes), static_cast<std::uint32_t>(header_bytes), std::uint32_t{0}, static_cast<std::uint8_t>(format),
-                   static_cast<std::uint16_t>(records[0].size())));
+  put(94, bytes_of(static_cast<std::uint16_t>(header_bytes), static_cast<std::uint32_t>(header_bytes), std::uint32_t{0},
+                   static_cast<std::uint8_t>(format), static_cast<std::uint16_t>(records[0].size())));
   put(107, bytes_of(minor == 4 && format >= 6 ? std::uint32_t{0} : count));
   put(131, bytes_of(0.01, 0.01, 0.01, 100.0, 0.0, -5.0));
   if (minor == 4) put(247, bytes_of(std::uint64_t{count}));
@@ -40,7 +40,7 @@ std::string record_of(int format, std::int32_t x) {
     record[17] = 9;
     record.replace(18, 2, bytes_of(std::uint16_t{77}));
   } else {
-    record[14] = static_cast<char>(0x53);  // return 3 of 5
+    record[14] = static_cast<char>(0x53);        // return 3 of 5
     record[15] = static_cast<char>(0b10011010);  // flags 10, channel 1, scan 0, edge 1
     record[16] = static_cast<char>(200);
     record[17] = 9;
@@ -103,7 +103,8 @@ TEST_F(Las, UndescribedExtraBytesAreCarried) {
 TEST_F(Las, ErrorsNameOffsetExpectedAndFound) {
   const std::string good = make_las(2, 3, {record_of(3, 0), record_of(3, 1)});
   const auto changed = [&](std::size_t at, const std::string& bytes) { return std::string(good).replace(at, bytes.size(), bytes); };
-  EXPECT_THAT(error("a.las", good.substr(0, good.size() - 1)), HasSubstr("declares 2 points of 34 bytes from offset 227, the file holds 1 (294 bytes)"));
+  EXPECT_THAT(error("a.las", good.substr(0, good.size() - 1)),
+              HasSubstr("declares 2 points of 34 bytes from offset 227, the file holds 1 (294 bytes)"));
   EXPECT_THAT(error("b.las", changed(104, "\x83")), HasSubstr("compression"));
   EXPECT_THAT(error("c.las", changed(104, "\x0b")), HasSubstr("offset 104: point format 11, expected 0 to 10"));
   EXPECT_THAT(error("d.las", changed(105, bytes_of(std::uint16_t{33}))), HasSubstr("records of 33 bytes, point format 3 needs 34"));
@@ -120,11 +121,25 @@ TEST_F(Las, ErrorsNameOffsetExpectedAndFound) {
 PointWriterOptions export_options() {
   PointWriterOptions options;
   options.num_points = 2;
-  options.properties = {{"x", ScalarType::kF64}, {"y", ScalarType::kF64}, {"z", ScalarType::kF64}, {"nx", ScalarType::kF32}, {"ny", ScalarType::kF32},
-                        {"nz", ScalarType::kF32}, {"red", ScalarType::kU8}, {"green", ScalarType::kU8}, {"blue", ScalarType::kU8},
-                        {"albedo_r", ScalarType::kF32}, {"albedo_g", ScalarType::kF32}, {"albedo_b", ScalarType::kF32}, {"sigma", ScalarType::kF32},
-                        {"photos", ScalarType::kU16}, {"intensity", ScalarType::kU16}, {"classification", ScalarType::kU8}, {"gps_time", ScalarType::kF64},
-                        {"return_number", ScalarType::kU8}, {"number_of_returns", ScalarType::kU8}};
+  options.properties = {{"x", ScalarType::kF64},
+                        {"y", ScalarType::kF64},
+                        {"z", ScalarType::kF64},
+                        {"nx", ScalarType::kF32},
+                        {"ny", ScalarType::kF32},
+                        {"nz", ScalarType::kF32},
+                        {"red", ScalarType::kU8},
+                        {"green", ScalarType::kU8},
+                        {"blue", ScalarType::kU8},
+                        {"albedo_r", ScalarType::kF32},
+                        {"albedo_g", ScalarType::kF32},
+                        {"albedo_b", ScalarType::kF32},
+                        {"sigma", ScalarType::kF32},
+                        {"photos", ScalarType::kU16},
+                        {"intensity", ScalarType::kU16},
+                        {"classification", ScalarType::kU8},
+                        {"gps_time", ScalarType::kF64},
+                        {"return_number", ScalarType::kU8},
+                        {"number_of_returns", ScalarType::kU8}};
   options.bounds.extend(Vec3d(500000.123, -4, 10));
   options.bounds.extend(Vec3d(500100.123, 4, 10));
   options.resolution = 0.0005;
@@ -133,8 +148,9 @@ PointWriterOptions export_options() {
 
 std::string export_row(double x, int i) {
   const auto f = static_cast<float>(i);
-  return bytes_of(x, i ? 4.0 : -4.0, 10.0, 0.f, 0.6f, 0.8f) + "\x01\x80\xff" + bytes_of(0.25f, 0.5f, std::nanf(""), 0.02f + f, static_cast<std::uint16_t>(i), std::uint16_t{65000}) +
-         "\x07" + bytes_of(99.5) + "\x02\x03";
+  return bytes_of(x, i ? 4.0 : -4.0, 10.0, 0.f, 0.6f, 0.8f) + "\x01\x80\xff" +
+         bytes_of(0.25f, 0.5f, std::nanf(""), 0.02f + f, static_cast<std::uint16_t>(i), std::uint16_t{65000}) + "\x07" + bytes_of(99.5) +
+         "\x02\x03";
 }
 
 TEST_F(Las, WriterReadsBackWithinHalfAStepAndKeepsTheRestInExtraBytes) {
@@ -171,27 +187,39 @@ TEST_F(Las, WriterFillsTheHeaderAsTheSpecificationAsks) {
   writer->write(reinterpret_cast<const std::byte*>(rows.data()), 2);
   writer->commit();
   const std::string file = read_text(path);
-  const auto u16 = [&](std::size_t at) { std::uint16_t v; std::memcpy(&v, file.data() + at, 2); return v; };
-  const auto u32 = [&](std::size_t at) { std::uint32_t v; std::memcpy(&v, file.data() + at, 4); return v; };
-  const auto f64 = [&](std::size_t at) { double v; std::memcpy(&v, file.data() + at, 8); return v; };
+  const auto u16 = [&](std::size_t at) {
+    std::uint16_t v;
+    std::memcpy(&v, file.data() + at, 2);
+    return v;
+  };
+  const auto u32 = [&](std::size_t at) {
+    std::uint32_t v;
+    std::memcpy(&v, file.data() + at, 4);
+    return v;
+  };
+  const auto f64 = [&](std::size_t at) {
+    double v;
+    std::memcpy(&v, file.data() + at, 8);
+    return v;
+  };
   EXPECT_EQ(file.substr(0, 4), "LASF");
-  EXPECT_EQ(u16(6), 16);               // WKT bit
+  EXPECT_EQ(u16(6), 16);  // WKT bit
   EXPECT_EQ(file.substr(24, 2), "\x01\x04");
   EXPECT_EQ(u16(94), 375);
-  const std::size_t num_extras = 8;    // normal, albedo, sigma, photos
+  const std::size_t num_extras = 8;  // normal, albedo, sigma, photos
   EXPECT_EQ(u32(96), 375 + 54 + num_extras * 192);
   EXPECT_EQ(u32(100), 1u);
   EXPECT_EQ(file[104], 7);
   EXPECT_EQ(u16(105), 36 + 7 * 4 + 2);
-  EXPECT_EQ(u32(107), 0u);             // the older count stays 0 for point formats 6 and up
+  EXPECT_EQ(u32(107), 0u);  // the older count stays 0 for point formats 6 and up
   EXPECT_NEAR(f64(179), 500100.123, 0.0003);
   EXPECT_NEAR(f64(187), 500000.123, 0.0003);
   EXPECT_EQ(u32(247), 2u);
   EXPECT_EQ(u32(255), 0u);
-  EXPECT_EQ(u32(263), 2u);             // both are second returns
+  EXPECT_EQ(u32(263), 2u);  // both are second returns
   EXPECT_EQ(file.substr(375 + 2, 9), "LASF_Spec");
   EXPECT_EQ(file.substr(375 + 54 + 4, 3), std::string("nx\0", 3));
-  EXPECT_EQ(file[375 + 54 + 2], 9);    // float
+  EXPECT_EQ(file[375 + 54 + 2], 9);            // float
   EXPECT_EQ(file[375 + 54 + 7 * 192 + 2], 3);  // unsigned short
   EXPECT_EQ(file.size(), u32(96) + 2u * u16(105));
 }

@@ -12,8 +12,10 @@ using ::testing::HasSubstr;
 
 class Pcd : public CloudFiles {};
 
-const char kFields[] = "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z rgb normal_x normal_y normal_z label hist\nSIZE 4 4 4 4 4 4 4 2 1\n"
-                       "TYPE F F F U F F F U I\nCOUNT 1 1 1 1 1 1 1 1 2\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA ";
+const char kFields[] =
+    "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z rgb normal_x normal_y normal_z label hist\nSIZE 4 4 4 4 4 4 4 2 "
+    "1\n"
+    "TYPE F F F U F F F U I\nCOUNT 1 1 1 1 1 1 1 1 2\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA ";
 
 void expect_points(const Cloud& cloud) {
   ASSERT_EQ(cloud.points.size(), 2u);
@@ -27,19 +29,26 @@ void expect_points(const Cloud& cloud) {
 
 TEST_F(Pcd, AsciiAndBinaryAreStreamed) {
   expect_points(read("a.pcd", std::string(kFields) + "ascii\n1 2 3 1122867 1 0 0 7 5 -1\nnan 0 0 0 0 0 1 65535 0 0\n"));
-  expect_points(read("b.pcd", std::string(kFields) + "binary\n" + bytes_of(1.f, 2.f, 3.f, 0x112233u, 1.f, 0.f, 0.f, std::uint16_t{7}, std::int8_t{5}, std::int8_t{-1}) +
-                                  bytes_of(std::nanf(""), 0.f, 0.f, 0u, 0.f, 0.f, 1.f, std::uint16_t{65535}, std::int8_t{0}, std::int8_t{0})));
+  expect_points(
+      read("b.pcd", std::string(kFields) + "binary\n" +
+                        bytes_of(1.f, 2.f, 3.f, 0x112233u, 1.f, 0.f, 0.f, std::uint16_t{7}, std::int8_t{5}, std::int8_t{-1}) +
+                        bytes_of(std::nanf(""), 0.f, 0.f, 0u, 0.f, 0.f, 1.f, std::uint16_t{65535}, std::int8_t{0}, std::int8_t{0})));
 }
 
 TEST_F(Pcd, ErrorsNameLineExpectedAndFound) {
   const std::string head(kFields);
   EXPECT_THAT(error("a.pcd", head + "ascii\n1 2 3 0 0 0 1 7 5 -1\n"), HasSubstr("1 of 2 points"));
   EXPECT_THAT(error("b.pcd", head + "binary\n1234"), HasSubstr("declares 2 points of 32 bytes"));
-  EXPECT_THAT(error("c.pcd", head + "binary_compressed\n" + bytes_of(100u, 64u) + "abc"), HasSubstr("100 compressed bytes declared, the file holds 3"));
-  EXPECT_THAT(error("d.pcd", head + "binary_compressed\n" + bytes_of(3u, 640u) + "abc"), HasSubstr("640 bytes of points declared, expected 2 points of 32 bytes"));
-  EXPECT_THAT(error("e.pcd", "VERSION 0.7\nFIELDS x y z\nSIZE 4 4\n"), HasSubstr("line 3 of the PCD header: SIZE has 2 values for 3 fields"));
-  EXPECT_THAT(error("f.pcd", "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 3\nHEIGHT 2\nPOINTS 5\nDATA ascii\n"), HasSubstr("POINTS is 5, WIDTH times HEIGHT is 6"));
-  EXPECT_THAT(error("g.pcd", "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 3\nTYPE F F F\nWIDTH 3\nDATA ascii\n"), HasSubstr("field 'z' has TYPE F and SIZE 3"));
+  EXPECT_THAT(error("c.pcd", head + "binary_compressed\n" + bytes_of(100u, 64u) + "abc"),
+              HasSubstr("100 compressed bytes declared, the file holds 3"));
+  EXPECT_THAT(error("d.pcd", head + "binary_compressed\n" + bytes_of(3u, 640u) + "abc"),
+              HasSubstr("640 bytes of points declared, expected 2 points of 32 bytes"));
+  EXPECT_THAT(error("e.pcd", "VERSION 0.7\nFIELDS x y z\nSIZE 4 4\n"),
+              HasSubstr("line 3 of the PCD header: SIZE has 2 values for 3 fields"));
+  EXPECT_THAT(error("f.pcd", "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 3\nHEIGHT 2\nPOINTS 5\nDATA ascii\n"),
+              HasSubstr("POINTS is 5, WIDTH times HEIGHT is 6"));
+  EXPECT_THAT(error("g.pcd", "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 3\nTYPE F F F\nWIDTH 3\nDATA ascii\n"),
+              HasSubstr("field 'z' has TYPE F and SIZE 3"));
   EXPECT_THAT(error("h.pcd", "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 0\nDATA ascii\n"), HasSubstr("holds no points"));
 }
 
@@ -52,7 +61,10 @@ class PcdWithPcl : public Pcd {
     ASSERT_EQ(pcl.num_points, ours.points.size());
     std::size_t compared = 0;
     for (const PclCloud::Field& field : pcl.fields) {
-      const int axis = field.name == "x" || field.name == "X" ? 0 : field.name == "y" || field.name == "Y" ? 1 : field.name == "z" || field.name == "Z" ? 2 : -1;
+      const int axis = field.name == "x" || field.name == "X"   ? 0
+                       : field.name == "y" || field.name == "Y" ? 1
+                       : field.name == "z" || field.name == "Z" ? 2
+                                                                : -1;
       for (std::size_t i = 0; i < pcl.num_points; ++i) {
         const std::byte* at = pcl.rows.data() + i * pcl.row_bytes + field.offset;
         if (axis >= 0) {
@@ -91,12 +103,14 @@ TEST_F(PcdWithPcl, OurStreamsGiveWhatPclReads) {
 TEST_F(PcdWithPcl, PclReadsWhatWeWrite) {
   PointWriterOptions options;
   options.num_points = 3;
-  options.properties = {{"x", ScalarType::kF64}, {"y", ScalarType::kF32}, {"z", ScalarType::kF32}, {"nx", ScalarType::kF32}, {"ny", ScalarType::kF32}, {"nz", ScalarType::kF32},
-                        {"red", ScalarType::kU8}, {"green", ScalarType::kU8}, {"blue", ScalarType::kU8}, {"sigma", ScalarType::kF32}, {"photos", ScalarType::kU16}, {"id", ScalarType::kI64}};
+  options.properties = {{"x", ScalarType::kF64},   {"y", ScalarType::kF32},     {"z", ScalarType::kF32},      {"nx", ScalarType::kF32},
+                        {"ny", ScalarType::kF32},  {"nz", ScalarType::kF32},    {"red", ScalarType::kU8},     {"green", ScalarType::kU8},
+                        {"blue", ScalarType::kU8}, {"sigma", ScalarType::kF32}, {"photos", ScalarType::kU16}, {"id", ScalarType::kI64}};
   const fs::path path = folder_.path() / "w.pcd";
   auto writer = create_points(path, options);
   for (int i = 0; i < 3; ++i) {
-    const std::string row = bytes_of(1e6 + i / 8.0, 2.f, static_cast<float>(i), 0.f, 0.f, 1.f) + "\x01\x02\xfe" + bytes_of(0.5f, static_cast<std::uint16_t>(i), std::int64_t{-5});
+    const std::string row = bytes_of(1e6 + i / 8.0, 2.f, static_cast<float>(i), 0.f, 0.f, 1.f) + "\x01\x02\xfe" +
+                            bytes_of(0.5f, static_cast<std::uint16_t>(i), std::int64_t{-5});
     writer->write(reinterpret_cast<const std::byte*>(row.data()), 1);
   }
   writer->commit();

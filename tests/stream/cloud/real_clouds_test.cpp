@@ -11,7 +11,8 @@ using ::testing::HasSubstr;
 class RealClouds : public ::testing::Test {
  protected:
   void SetUp() override {
-    if (!fs::exists(shared_folder() / "real" / "clouds")) GTEST_SKIP() << "no shared/real/clouds beside the source folder (set CHIARO_SHARED)";
+    if (!fs::exists(shared_folder() / "real" / "clouds"))
+      GTEST_SKIP() << "no shared/real/clouds beside the source folder (set CHIARO_SHARED)";
   }
   static Cloud read(const std::string& name) { return read_all(shared_folder() / "real" / "clouds" / name); }
   static std::string error(const std::string& name) {

@@ -12,8 +12,11 @@ using ::testing::HasSubstr;
 class Text : public CloudFiles {};
 
 TEST_F(Text, ThreeColumnsWithAnySeparator) {
-  for (const char* content : {"1 2 3\n4 5 6\n", "  1\t2  3 \r\n\r\n4 5 6", "1,2,3\n4, 5, 6\n", "1;2;3\n4; 5;6\n", "# comment\n1 2 3\n% more\n// and more\n4 5 6\n",
-                              "\xef\xbb\xbf" "1 2 3\n4 5 6\n", "+1 2 3\n4.0 5e0 6\n"}) {
+  for (const char* content : {"1 2 3\n4 5 6\n", "  1\t2  3 \r\n\r\n4 5 6", "1,2,3\n4, 5, 6\n", "1;2;3\n4; 5;6\n",
+                              "# comment\n1 2 3\n% more\n// and more\n4 5 6\n",
+                              "\xef\xbb\xbf"
+                              "1 2 3\n4 5 6\n",
+                              "+1 2 3\n4.0 5e0 6\n"}) {
     SCOPED_TRACE(content);
     const Cloud cloud = read("a.xyz", content);
     ASSERT_EQ(cloud.points.size(), 2u);
@@ -50,7 +53,8 @@ TEST_F(Text, SevenAndNineColumns) {
 }
 
 TEST_F(Text, AHeaderLineNamesTheColumns) {
-  for (const char* header : {"Z,Y,X,R,G,B,Nx,Ny,Nz,quality", "//Z Y X R G B Nx Ny Nz quality", "# z y x red green blue nx ny nz quality", "\"z\";\"y\";\"x\";\"r\";\"g\";\"b\";\"nx\";\"ny\";\"nz\";\"quality\""}) {
+  for (const char* header : {"Z,Y,X,R,G,B,Nx,Ny,Nz,quality", "//Z Y X R G B Nx Ny Nz quality", "# z y x red green blue nx ny nz quality",
+                             "\"z\";\"y\";\"x\";\"r\";\"g\";\"b\";\"nx\";\"ny\";\"nz\";\"quality\""}) {
     SCOPED_TRACE(header);
     const Cloud cloud = read("a.csv", std::string(header) + "\n3,2,1,0.5,0,1,0,0,1,17\n");
     ASSERT_EQ(cloud.points.size(), 1u);
