@@ -101,47 +101,40 @@ void fit_normals(const FitJob& job, MemoryBudget& budget, Reporter& report) {
     bool any = false;
     for (std::uint32_t slot = 0; slot < e.count && !any; ++slot) any = estimated(slot);
     if (!any) return;
-    for_each_neighbourhood(around, options, [&](std::uint32_t i, NeighbourList& list, const Candidates&) {
-      const NormalFit fit = fit_normal(list);
-      const auto code = encode_normal(fit.normal);
+    std::vector<NormalFit> fits;
+    fit_normals_of(around, options, fits);
+    for (std::uint32_t i = 0; i < fits.size(); ++i) {
+      const auto code = encode_normal(fits[i].normal);
       for (std::uint32_t slot = around.own().first_slot[i]; slot < around.own().first_slot[i + 1]; ++slot) {
         if (!estimated(slot)) continue;
         SurfelBlock& b = blocks[slot / 16];
         b.normal_u[slot % 16] = code[0];
         b.normal_v[slot % 16] = code[1];
-        b.flags[slot % 16] = static_cast<std::uint8_t>(SurfelBlock::kEstimated | (fit.isolated ? SurfelBlock::kIsolated : 0));
+        b.flags[slot % 16] = static_cast<std::uint8_t>(SurfelBlock::kEstimated | (fits[i].isolated ? SurfelBlock::kIsolated : 0));
       }
-    });
+    }
     job.geometry.write_at(e.offset, blocks.data(), geometry_bytes(e.count));
   });
 }
 
 void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report) {
-  FitOptions options = fit_options(job, kRadiusSpacings);
-  options.sorted = true;
-  options.most = 40;
+  const FitOptions options = fit_options(job, kRadiusSpacings);
   for_each_leaf(job, "radii", budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
     std::vector<SurfelBlock> blocks = read_blocks(job, chunk);
     ChunkEntry& e = job.entries[chunk];
     const HaloChunk& own = around.own();
-    std::vector<float> radii(own.size);
-    std::vector<float> means(own.size);
-    for_each_neighbourhood(around, options, [&](std::uint32_t i, NeighbourList& list, const Candidates& candidates) {
-      const Vec3f normal = decode_normal(own.normal[i][0], own.normal[i][1]);
-      radii[i] = (own.flags[i] & SurfelBlock::kIsolated) ? std::min(list.items.empty() ? options.lone_radius : list.mean_of_nearest, options.lone_radius)
-                                                         : fit_radius(list, candidates, normal, own.flags[i], options);
-      means[i] = list.mean_of_nearest;
-    });
+    std::vector<RadiusFit> fits;
+    fit_radii_of(around, options, fits);
     double sum = 0;
     e.radius_max = 0;
-    for (std::uint32_t i = 0; i < own.size; ++i) {
-      sum += means[i];
-      e.radius_max = std::max(e.radius_max, radii[i]);
+    for (const RadiusFit& fit : fits) {
+      sum += static_cast<double>(fit.mean_of_nearest);
+      e.radius_max = std::max(e.radius_max, fit.radius);
     }
     e.spacing = static_cast<float>(sum / own.size);
     if (!(e.radius_max > 0)) e.radius_max = options.lone_radius;
     for (std::uint32_t i = 0; i < own.size; ++i) {
-      const std::uint8_t code = encode_radius(radii[i], e.radius_max);
+      const std::uint8_t code = encode_radius(fits[i].radius, e.radius_max);
       for (std::uint32_t slot = own.first_slot[i]; slot < own.first_slot[i + 1]; ++slot) blocks[slot / 16].log_radius[slot % 16] = code;
     }
     job.geometry.write_at(e.offset, blocks.data(), geometry_bytes(e.count));

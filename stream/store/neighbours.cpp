@@ -39,11 +39,6 @@ void build_levels(HaloChunk& c) {
   }
 }
 
-template <class T>
-void append(std::vector<T>& out, const std::vector<T>& in, std::size_t begin, std::size_t end) {
-  out.insert(out.end(), in.begin() + static_cast<std::ptrdiff_t>(begin), in.begin() + static_cast<std::ptrdiff_t>(end));
-}
-
 // Visits the groups whose box comes within the radius, in order.
 template <class F>
 void visit_groups(const HaloChunk& c, std::size_t level, std::size_t node, const FlatBox& box, float radius_squared, const F& body) {
@@ -55,20 +50,39 @@ void visit_groups(const HaloChunk& c, std::size_t level, std::size_t node, const
 
 void gather_from(const HaloChunk& c, const FlatBox& box, float radius, const Vec3d* shift, Candidates& out) {
   visit_groups(c, c.levels.size() - 1, 0, box, radius * radius, [&](std::size_t group) {
-    const std::size_t begin = group * HaloChunk::kGroup, end = std::min<std::size_t>(c.size, begin + HaloChunk::kGroup);
-    append(out.normal, c.normal, begin, end);
-    append(out.flags, c.flags, begin, end);
-    if (!shift) {
-      append(out.x, c.x, begin, end);
-      append(out.y, c.y, begin, end);
-      append(out.z, c.z, begin, end);
-      return;
+    constexpr std::size_t kGroup = HaloChunk::kGroup;
+    const std::size_t begin = group * kGroup, count = std::min<std::size_t>(c.size - begin, kGroup);
+    const float *x = &c.x[begin], *y = &c.y[begin], *z = &c.z[begin];
+    std::array<std::uint32_t, kGroup> inside;
+    const auto gap = [](float p, float low, float high) {
+      const float q = p < low ? low : p;
+      return p - (q > high ? high : q);
+    };
+    for (std::size_t i = 0; i < kGroup; ++i) {
+      const float dx = gap(x[i], box.min[0], box.max[0]), dy = gap(y[i], box.min[1], box.max[1]), dz = gap(z[i], box.min[2], box.max[2]);
+      inside[i] = dx * dx + dy * dy + dz * dz <= radius * radius;
     }
-    for (std::size_t i = begin; i < end; ++i) {
-      out.x.push_back(static_cast<float>(shift->x() + c.x[i]));
-      out.y.push_back(static_cast<float>(shift->y() + c.y[i]));
-      out.z.push_back(static_cast<float>(shift->z() + c.z[i]));
+    out.reserve(out.num + kGroup);
+    float *ox = out.x.data(), *oy = out.y.data(), *oz = out.z.data();
+    auto* normal = out.normal.data();
+    std::uint8_t* flags = out.flags.data();
+    std::size_t n = out.num;
+    for (std::size_t i = 0; i < count; ++i) {
+      ox[n] = x[i];
+      oy[n] = y[i];
+      oz[n] = z[i];
+      normal[n] = c.normal[begin + i];
+      flags[n] = c.flags[begin + i];
+      n += inside[i];
     }
+    if (shift) {
+      for (std::size_t i = out.num; i < n; ++i) {
+        ox[i] = static_cast<float>(shift->x() + ox[i]);
+        oy[i] = static_cast<float>(shift->y() + oy[i]);
+        oz[i] = static_cast<float>(shift->z() + oz[i]);
+      }
+    }
+    out.num = n;
   });
 }
 
@@ -147,12 +161,14 @@ std::shared_ptr<const HaloChunk> HaloCache::get(std::uint32_t chunk) {
   return loaded;
 }
 
-void Candidates::clear() {
-  x.clear();
-  y.clear();
-  z.clear();
-  normal.clear();
-  flags.clear();
+void Candidates::reserve(std::size_t size) {
+  if (x.size() >= size) return;
+  size = std::max(size, 2 * x.size());
+  x.resize(size);
+  y.resize(size);
+  z.resize(size);
+  normal.resize(size);
+  flags.resize(size);
 }
 
 Neighbourhood::Neighbourhood(std::shared_ptr<const HaloChunk> own, const Box3d& own_bounds, const Find& find, HaloCache& cache)
@@ -181,7 +197,7 @@ void Neighbourhood::find_near(float radius) {
 
 void Neighbourhood::gather(const FlatBox& box, float radius, Candidates& out) {
   if (radius > near_radius_) find_near(2 * radius);
-  out.clear();
+  out.num = 0;
   gather_from(*own_, box, radius, nullptr, out);
   for (const Near& n : near_) {
     if (gap_squared(n.box, box) > radius * radius) continue;

@@ -55,13 +55,14 @@ class HaloCache {
   std::list<std::uint32_t> order_;  ///< most recent first
 };
 
-/// Points near a box, relative to the lower corner of the chunk that asks.
+/// Points near a box, relative to the lower corner of the chunk that asks. The first `num` entries count.
 struct Candidates {
+  std::size_t num = 0;
   std::vector<float> x, y, z;
   std::vector<std::array<std::int16_t, 2>> normal;
   std::vector<std::uint8_t> flags;
-  std::size_t size() const { return x.size(); }
-  void clear();
+  std::size_t size() const { return num; }
+  void reserve(std::size_t size);
 };
 
 /// Gathers candidates for one chunk from itself and the leaves around. One thread at a time.
@@ -71,7 +72,7 @@ class Neighbourhood {
   using Find = std::function<std::vector<std::pair<std::uint32_t, Box3d>>(const Box3d& box)>;
   Neighbourhood(std::shared_ptr<const HaloChunk> own, const Box3d& own_bounds, const Find& find, HaloCache& cache);
   const HaloChunk& own() const { return *own_; }
-  /// All points within `radius` of the box (own frame), and some more; in an order that does not depend on the radius.
+  /// All points within `radius` of the box (own frame), in an order that does not depend on the radius.
   void gather(const HaloChunk::FlatBox& box, float radius, Candidates& out);
 
  private:

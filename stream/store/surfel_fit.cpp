@@ -2,7 +2,10 @@
 
 #include <Eigen/Eigenvalues>
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
+#include <limits>
 
 namespace chiaro::stream {
 namespace {
@@ -12,11 +15,85 @@ using FlatBox = HaloChunk::FlatBox;
 // In a random sample of a surface with one point per spacing^2 the sixth neighbour lies at sqrt(6 / pi) spacings.
 constexpr float kSixthInSpacings = 1.3820f;
 constexpr std::size_t kNearest = 6;
+constexpr int kMostGrowth = 3;
 
+// Four points of a group are worked on at once, one in each lane; comparisons give masks. A GCC and Clang extension that needs no special processor.
+typedef float Lanes __attribute__((vector_size(16)));
+typedef std::int32_t LaneMask __attribute__((vector_size(16)));
+constexpr std::uint32_t kLanes = 4;
+
+Lanes all(float v) { return Lanes{v, v, v, v}; }
+Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
+Lanes larger(Lanes a, Lanes b) { return a < b ? b : a; }
+
+struct FourPoints {
+  Lanes x, y, z;
+};
+
+struct Nearest {
+  Lanes squared[kNearest];
+};
+
+// Squared distances of the six nearest of each lane, nearest first; what lies on the spot is left out.
+Nearest nearest_of(const Candidates& c, const FourPoints& p) {
+  Nearest best;
+  for (Lanes& b : best.squared) b = all(std::numeric_limits<float>::infinity());
+  const float *cx = c.x.data(), *cy = c.y.data(), *cz = c.z.data();
+  for (std::size_t k = 0; k < c.num; ++k) {
+    const Lanes dx = cx[k] - p.x, dy = cy[k] - p.y, dz = cz[k] - p.z;
+    Lanes d = dx * dx + dy * dy + dz * dz;
+    d = d > all(0) ? d : all(std::numeric_limits<float>::infinity());
+    for (Lanes& b : best.squared) {
+      const Lanes low = smaller(b, d);
+      d = larger(b, d);
+      b = low;
+    }
+  }
+  return best;
+}
+
+float mean_distance(const std::array<float, kNearest>& nearest_squared) {
+  float sum = 0;
+  int n = 0;
+  for (const float d : nearest_squared) {
+    if (!std::isfinite(d)) break;
+    sum += std::sqrt(d);
+    ++n;
+  }
+  return n > 0 ? sum / static_cast<float>(n) : 0;
+}
+
+/// Neighbours of one point as offsets from it; points on the same spot are not among them.
+struct NeighbourList {
+  std::vector<float> x, y, z;
+  std::vector<float> distance_squared;
+  std::vector<std::uint32_t> candidate;
+  std::array<float, kNearest> nearest_squared{};
+  float radius = 0;  ///< all neighbours within it are here, up to the maximum number
+  std::size_t size() const { return x.size(); }
+  Vec3f offset(std::size_t k) const { return {x[k], y[k], z[k]}; }
+  void clear() {
+    x.clear();
+    y.clear();
+    z.clear();
+    distance_squared.clear();
+    candidate.clear();
+  }
+  void add(float dx, float dy, float dz, float d, std::uint32_t k) {
+    x.push_back(dx);
+    y.push_back(dy);
+    z.push_back(dz);
+    distance_squared.push_back(d);
+    candidate.push_back(k);
+  }
+};
+
+/// Goes through a chunk in groups of consecutive points that share a search. Fit answers: fit_four() fits up to four points from the candidates and tells
+/// the radius it used, or 0 for a point that needs the careful search; fit_one() fits one from a complete list, or refuses and gets a larger one.
+template <class Fit>
 class Walker {
  public:
-  Walker(Neighbourhood& around, const FitOptions& options, const std::function<void(std::uint32_t, NeighbourList&, const Candidates&)>& body)
-      : around_(around), own_(around.own()), options_(options), body_(body) {}
+  Walker(Neighbourhood& around, const FitOptions& options, Fit& fit) : around_(around), own_(around.own()), options_(options), fit_(fit) {}
 
   void run() {
     guess_ = first_guess();
@@ -28,12 +105,14 @@ class Walker {
   }
 
  private:
+  float clamped(float radius) const { return std::clamp(radius, options_.max_radius * 1e-6f, options_.max_radius); }
+
   float first_guess() const {
     const FlatBox& b = own_.levels.back()[0];
     float edges[3] = {b.max[0] - b.min[0], b.max[1] - b.min[1], b.max[2] - b.min[2]};
     std::sort(edges, edges + 3);
-    const float spacing = std::sqrt(std::max(edges[2] * std::max(edges[1], edges[2] * 0.01f), 0.0f) / static_cast<float>(own_.size));
-    return std::clamp(spacing * static_cast<float>(options_.radius_spacings), options_.max_radius * 1e-6f, options_.max_radius);
+    const float spacing = std::sqrt(edges[2] * std::max(edges[1], edges[2] * 0.01f) / static_cast<float>(own_.size));
+    return clamped(spacing * static_cast<float>(options_.radius_spacings));
   }
 
   // Consecutive points share one search while they stay within a few search radii.
@@ -57,111 +136,92 @@ class Walker {
   }
 
   void run_group(std::uint32_t begin, std::uint32_t end) {
-    const float guess = guess_;
-    around_.gather(box_, guess, candidates_);
+    around_.gather(box_, guess_, candidates_);
     float sum = 0;
-    retry_.clear();
-    for (std::uint32_t i = begin; i < end; ++i) {
-      const float needed = try_point(i, guess, candidates_);
-      if (needed > 0) retry_.push_back({i, needed});
-      else sum += list_.radius;
-    }
-    for (const auto& [i, needed] : retry_) {
-      const FlatBox box{{own_.x[i], own_.y[i], own_.z[i]}, {own_.x[i], own_.y[i], own_.z[i]}};
-      for (float radius = needed; radius > 0;) {
-        around_.gather(box, radius, single_);
-        radius = try_point(i, radius, single_);
+    for (std::uint32_t first = begin; first < end; first += kLanes) {
+      const std::uint32_t count = std::min(kLanes, end - first);
+      FourPoints p;
+      for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
+        const std::uint32_t i = first + std::min(lane, count - 1);
+        p.x[lane] = own_.x[i];
+        p.y[lane] = own_.y[i];
+        p.z[lane] = own_.z[i];
       }
-      sum += list_.radius;
+      const auto nearest = nearest_of(candidates_, p);
+      const Lanes sixth = nearest.squared[kNearest - 1];
+      std::array<float, kLanes> wanted;
+      for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
+        wanted[lane] = std::sqrt(sixth[lane]) / kSixthInSpacings * static_cast<float>(options_.radius_spacings);
+        if (lane >= count || !(wanted[lane] <= guess_) || !(sixth[lane] <= guess_ * guess_)) wanted[lane] = 0;
+      }
+      fit_.fit_four(first, p, nearest, candidates_, wanted);
+      for (std::uint32_t lane = 0; lane < count; ++lane) sum += wanted[lane] > 0 ? wanted[lane] : search_carefully(first + lane, std::sqrt(sixth[lane]));
     }
     // The next group is probably as dense as this one.
-    guess_ = std::clamp(1.3f * sum / static_cast<float>(end - begin), options_.max_radius * 1e-6f, options_.max_radius);
+    guess_ = clamped(1.35f * sum / static_cast<float>(end - begin));
   }
 
-  // Returns 0 when done, else the radius that the search needs. All candidates within `radius` of the point are there.
-  float try_point(std::uint32_t i, float radius, const Candidates& c) {
-    const std::size_t n = c.size();
-    distance_.resize(n);
-    const float px = own_.x[i], py = own_.y[i], pz = own_.z[i];
-    const float *cx = c.x.data(), *cy = c.y.data(), *cz = c.z.data();
-    float* d = distance_.data();
-    for (std::size_t k = 0; k < n; ++k) {
-      const float dx = cx[k] - px, dy = cy[k] - py, dz = cz[k] - pz;
-      d[k] = dx * dx + dy * dy + dz * dz;
+  // The search radius grows until the wanted neighbours are certain. Returns that radius.
+  float search_carefully(std::uint32_t i, float sixth) {
+    const FlatBox box{{own_.x[i], own_.y[i], own_.z[i]}, {own_.x[i], own_.y[i], own_.z[i]}};
+    float radius = guess_;
+    if (sixth <= guess_) radius = 1.001f * sixth / kSixthInSpacings * static_cast<float>(options_.radius_spacings);
+    else radius = 2 * guess_;
+    for (int growth = 0;;) {
+      radius = std::min(radius, options_.max_radius);
+      const bool at_limit = radius >= options_.max_radius;
+      around_.gather(box, radius, single_);
+      collect(i, radius);
+      if (near_.size() < kNearest && !at_limit) {
+        radius *= 2;
+        continue;
+      }
+      const std::size_t found = std::min(kNearest, near_.size());
+      std::partial_sort(near_.begin(), near_.begin() + static_cast<std::ptrdiff_t>(found), near_.end());
+      list_.nearest_squared.fill(std::numeric_limits<float>::infinity());
+      for (std::size_t k = 0; k < found; ++k) list_.nearest_squared[k] = near_[k].first;
+      float wanted = options_.max_radius;
+      if (found == kNearest) wanted = std::ldexp(std::sqrt(near_[kNearest - 1].first) / kSixthInSpacings * static_cast<float>(options_.radius_spacings), growth);
+      if (wanted > radius && !at_limit) {
+        radius = wanted;
+        continue;
+      }
+      fill(std::min(wanted, options_.max_radius), i);
+      if (fit_.fit_one(i, list_, single_, growth == kMostGrowth || at_limit)) return list_.radius;
+      ++growth;
+      radius = 2 * wanted;
     }
-    near_.resize(n);
-    const float limit = radius * radius;
-    std::size_t m = 0;
-    for (std::size_t k = 0; k < n; ++k) {
-      near_[m] = {d[k], static_cast<std::uint32_t>(k)};
-      m += d[k] <= limit && d[k] > 0;
-    }
-    near_.resize(m);
-    const bool at_limit = radius >= options_.max_radius;
-    if (m < kNearest && !at_limit) return std::min(2 * radius, options_.max_radius);
-    return select(i, radius, at_limit, c, px, py, pz);
   }
 
-  float select(std::uint32_t i, float radius, bool at_limit, const Candidates& c, float px, float py, float pz) {
-    const std::size_t nearest = std::min(kNearest, near_.size());
-    std::partial_sort(near_.begin(), near_.begin() + static_cast<std::ptrdiff_t>(nearest), near_.end());
-    float sum = 0;
-    for (std::size_t k = 0; k < nearest; ++k) sum += std::sqrt(near_[k].distance_squared);
-    list_.mean_of_nearest = nearest > 0 ? sum / static_cast<float>(nearest) : 0;
-    float wanted = options_.max_radius;
-    if (nearest == kNearest)
-      wanted = std::min(options_.max_radius, std::sqrt(near_[kNearest - 1].distance_squared) / kSixthInSpacings * static_cast<float>(options_.radius_spacings));
-    for (int growth = 0;; ++growth) {
-      if (wanted > radius && !at_limit) return wanted;
-      fill(wanted, c, px, py, pz);
-      // Scan lines: the nearest all lie on one line. Look further until the next lines come in.
-      if (growth == 3 || wanted >= options_.max_radius || list_.items.size() < 3 || !is_line()) break;
-      wanted = std::min(2 * wanted, options_.max_radius);
+  void collect(std::uint32_t i, float radius) {
+    near_.clear();
+    for (std::size_t k = 0; k < single_.num; ++k) {
+      const float dx = single_.x[k] - own_.x[i], dy = single_.y[k] - own_.y[i], dz = single_.z[k] - own_.z[i];
+      const float d = dx * dx + dy * dy + dz * dz;
+      if (d > 0 && d <= radius * radius) near_.emplace_back(d, static_cast<std::uint32_t>(k));
     }
+  }
+
+  void fill(float wanted, std::uint32_t i) {
+    const auto end = std::partition(near_.begin(), near_.end(), [&](const auto& item) { return item.first <= wanted * wanted; });
+    near_.erase(end, near_.end());
+    if (near_.size() > options_.most) {
+      std::nth_element(near_.begin(), near_.begin() + static_cast<std::ptrdiff_t>(options_.most), near_.end());
+      near_.resize(options_.most);
+    }
+    list_.clear();
+    for (const auto& [d, k] : near_) list_.add(single_.x[k] - own_.x[i], single_.y[k] - own_.y[i], single_.z[k] - own_.z[i], d, k);
     list_.radius = wanted;
-    body_(i, list_, c);
-    return 0;
   }
 
-  void fill(float wanted, const Candidates& c, float px, float py, float pz) {
-    list_.items.clear();
-    for (const auto& item : near_)
-      if (item.distance_squared <= wanted * wanted) list_.items.push_back(item);
-    if (list_.items.size() > options_.most) {
-      std::nth_element(list_.items.begin(), list_.items.begin() + static_cast<std::ptrdiff_t>(options_.most), list_.items.end());
-      list_.items.resize(options_.most);
-    }
-    if (options_.sorted) std::sort(list_.items.begin(), list_.items.end());
-    list_.offset.resize(list_.items.size());
-    for (std::size_t k = 0; k < list_.items.size(); ++k) {
-      const std::uint32_t j = list_.items[k].candidate;
-      list_.offset[k] = {c.x[j] - px, c.y[j] - py, c.z[j] - pz};
-    }
-  }
-
-  // Off the line through the point and its farthest neighbour nothing lies further than a 16th of the length.
-  bool is_line() const {
-    std::size_t far = 0;
-    for (std::size_t k = 1; k < list_.items.size(); ++k)
-      if (list_.items[far].distance_squared < list_.items[k].distance_squared) far = k;
-    const Vec3f axis = list_.offset[far];
-    const float length_squared = axis.squaredNorm(), limit = length_squared * length_squared / 256;
-    for (const Vec3f& o : list_.offset)
-      if (o.cross(axis).squaredNorm() > limit) return false;
-    return true;
-  }
-
- private:
   Neighbourhood& around_;
   const HaloChunk& own_;
   const FitOptions& options_;
-  const std::function<void(std::uint32_t, NeighbourList&, const Candidates&)>& body_;
+  Fit& fit_;
   float guess_ = 0;
   FlatBox box_{};
   Candidates candidates_, single_;
-  std::vector<float> distance_;
-  std::vector<NeighbourList::Item> near_;
-  std::vector<std::pair<std::uint32_t, float>> retry_;
+  std::vector<std::pair<float, std::uint32_t>> near_;
   NeighbourList list_;
 };
 
@@ -171,14 +231,114 @@ Vec3f across(const Vec3f& v) {
   return v.cross(axis).normalized();
 }
 
+/// Sums over the neighbours: x y z, xx xy xz yy yz zz, count.
+using Moments = std::array<double, 10>;
+
+// Floats lose a millionth, but products of two need care where the plane is thin: at worst some 0.001 degrees.
+struct NormalAnswer {
+  NormalFit fit;
+  bool line = false;
+};
+
+NormalAnswer normal_from(const Moments& sums) {
+  NormalAnswer answer;
+  const double n = sums[9];
+  if (n < 3) {
+    answer.fit.isolated = true;
+    return answer;
+  }
+  std::array<double, 9> m;
+  for (std::size_t i = 0; i < 9; ++i) m[i] = sums[i] / (n + 1);  // the point itself is the origin
+  Mat3d covariance;
+  covariance << m[3] - m[0] * m[0], m[4] - m[0] * m[1], m[5] - m[0] * m[2],
+                m[4] - m[0] * m[1], m[6] - m[1] * m[1], m[7] - m[1] * m[2],
+                m[5] - m[0] * m[2], m[7] - m[1] * m[2], m[8] - m[2] * m[2];
+  const double scale = covariance.trace();
+  if (!(scale > 0)) {
+    answer.fit.isolated = true;
+    return answer;
+  }
+  Eigen::SelfAdjointEigenSolver<Mat3d> solver;
+  solver.computeDirect(covariance / scale);
+  const Vec3d values = solver.eigenvalues();
+  answer.line = values[1] < 0.01 * values[2];
+  if (values[1] < 1e-4 * values[2]) {
+    answer.fit.isolated = true;
+    answer.fit.normal = across(solver.eigenvectors().col(2).cast<float>());
+    return answer;
+  }
+  const Vec3d normal = solver.eigenvectors().col(0);
+  const double outwards = -normal.dot(Vec3d(m[0], m[1], m[2]));
+  const bool flip = std::abs(outwards) > 1e-9 * std::sqrt(scale) ? outwards < 0 : normal.z() < 0;
+  answer.fit.normal = (flip ? -normal : normal).normalized().cast<float>();
+  return answer;
+}
+
+class NormalFitter {
+ public:
+  NormalFitter(const FitOptions& options, std::vector<NormalFit>& fits) : options_(options), fits_(fits) {}
+
+  void fit_four(std::uint32_t first, const FourPoints& p, const Nearest&, const Candidates& c, std::array<float, kLanes>& wanted) {
+    Lanes limit;
+    for (std::uint32_t lane = 0; lane < kLanes; ++lane) limit[lane] = wanted[lane] * wanted[lane];
+    Lanes sums[10];
+    for (Lanes& s : sums) s = all(0);
+    const float *cx = c.x.data(), *cy = c.y.data(), *cz = c.z.data();
+    for (std::size_t k = 0; k < c.num; ++k) {
+      Lanes dx = cx[k] - p.x, dy = cy[k] - p.y, dz = cz[k] - p.z;
+      const Lanes d = dx * dx + dy * dy + dz * dz;
+      const LaneMask inside = (d <= limit) & (d > all(0));
+      const Lanes zero = all(0);
+      dx = inside ? dx : zero;
+      dy = inside ? dy : zero;
+      dz = inside ? dz : zero;
+      sums[0] += dx;
+      sums[1] += dy;
+      sums[2] += dz;
+      sums[3] += dx * dx;
+      sums[4] += dx * dy;
+      sums[5] += dx * dz;
+      sums[6] += dy * dy;
+      sums[7] += dy * dz;
+      sums[8] += dz * dz;
+      sums[9] += inside ? all(1) : zero;
+    }
+    for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
+      if (wanted[lane] == 0) continue;
+      Moments m;
+      for (std::size_t i = 0; i < m.size(); ++i) m[i] = static_cast<double>(sums[i][lane]);
+      const NormalAnswer answer = normal_from(m);
+      if (answer.line || m[9] > static_cast<double>(options_.most)) wanted[lane] = 0;
+      else fits_[first + lane] = answer.fit;
+    }
+  }
+
+  bool fit_one(std::uint32_t i, const NeighbourList& list, const Candidates&, bool last) {
+    Moments m{};
+    for (std::size_t k = 0; k < list.size(); ++k) {
+      const double x = static_cast<double>(list.x[k]), y = static_cast<double>(list.y[k]), z = static_cast<double>(list.z[k]);
+      const double terms[10] = {x, y, z, x * x, x * y, x * z, y * y, y * z, z * z, 1};
+      for (std::size_t t = 0; t < m.size(); ++t) m[t] += terms[t];
+    }
+    const NormalAnswer answer = normal_from(m);
+    if (answer.line && !last) return false;
+    fits_[i] = answer.fit;
+    return true;
+  }
+
+ private:
+  const FitOptions& options_;
+  std::vector<NormalFit>& fits_;
+};
+
 // A convex polygon around the origin of the tangent plane, clipped by half-planes. Fixed room: each cut adds at most one corner.
 class TangentCell {
  public:
   explicit TangentCell(float half_size) : box_(half_size * 0.9999f) {
-    corner_[0] = {-half_size, -half_size};
-    corner_[1] = {half_size, -half_size};
-    corner_[2] = {half_size, half_size};
-    corner_[3] = {-half_size, half_size};
+    corners_[0][0] = {-half_size, -half_size};
+    corners_[0][1] = {half_size, -half_size};
+    corners_[0][2] = {half_size, half_size};
+    corners_[0][3] = {-half_size, half_size};
     size_ = 4;
     measure();
   }
@@ -186,128 +346,188 @@ class TangentCell {
   bool bounded() const { return bounded_; }
   float farthest_bounded_squared() const { return farthest_bounded_squared_; }
 
-  // Keeps x with direction . x <= distance.
-  void clip(const Vec2f& direction, float distance) {
+  // Would clip() change anything?
+  bool cuts(float u, float v, float distance) const {
+    const Corner* corner = corners_[now_].data();
+    float most = -1;
+    for (int i = 0; i < size_; ++i) most = std::max(most, u * corner[i].x + v * corner[i].y);
+    return most > distance;
+  }
+
+  // Keeps the points with x * u + y * v <= distance.
+  void clip(float u, float v, float distance) {
+    if (size_ + 1 >= kMost) return;
     std::array<float, kMost> side;
-    bool cuts = false;
-    for (int i = 0; i < size_; ++i) {
-      side[i] = direction.dot(corner_[i]) - distance;
-      cuts = cuts || side[i] > 0;
-    }
-    if (!cuts || size_ + 1 >= kMost) return;
-    std::array<Vec2f, kMost> kept;
+    const Corner* corner = corners_[now_].data();
+    for (int i = 0; i < size_; ++i) side[i] = u * corner[i].x + v * corner[i].y - distance;
+    Corner* kept = corners_[1 - now_].data();
     int n = 0;
     for (int i = 0; i < size_; ++i) {
       const int j = i + 1 == size_ ? 0 : i + 1;
-      if (side[i] <= 0) kept[n++] = corner_[i];
-      if ((side[i] <= 0) != (side[j] <= 0)) kept[n++] = corner_[i] + (side[i] / (side[i] - side[j])) * (corner_[j] - corner_[i]);
+      if (side[i] <= 0) kept[n++] = corner[i];
+      if ((side[i] <= 0) != (side[j] <= 0)) {
+        const float t = side[i] / (side[i] - side[j]);
+        kept[n++] = {corner[i].x + t * (corner[j].x - corner[i].x), corner[i].y + t * (corner[j].y - corner[i].y)};
+      }
     }
-    corner_ = kept;
+    now_ = 1 - now_;
     size_ = n;
     measure();
   }
 
  private:
   static constexpr int kMost = 40;
+  struct Corner {
+    float x, y;
+  };
   void measure() {
     farthest_squared_ = farthest_bounded_squared_ = 0;
     bounded_ = true;
+    const Corner* corner = corners_[now_].data();
     for (int i = 0; i < size_; ++i) {
-      const float d = corner_[i].squaredNorm();
+      const float d = corner[i].x * corner[i].x + corner[i].y * corner[i].y;
+      const bool open = std::max(std::abs(corner[i].x), std::abs(corner[i].y)) >= box_;
       farthest_squared_ = std::max(farthest_squared_, d);
-      if (corner_[i].cwiseAbs().maxCoeff() >= box_) bounded_ = false;
-      else farthest_bounded_squared_ = std::max(farthest_bounded_squared_, d);
+      bounded_ &= !open;
+      farthest_bounded_squared_ = std::max(farthest_bounded_squared_, open ? 0.0f : d);
     }
   }
   float box_;
-  std::array<Vec2f, kMost> corner_;
-  int size_ = 0;
+  std::array<std::array<Corner, kMost>, 2> corners_;
+  int now_ = 0, size_ = 0;
   float farthest_squared_ = 0, farthest_bounded_squared_ = 0;
   bool bounded_ = false;
 };
 
-// Neighbours on another face of an edge, on the other side of a thin wall, or far off the plane do not bound the disc.
-bool on_same_face(const Vec3f& offset, const Vec3f& other_normal, const Vec3f& normal, bool signs_known) {
-  const float cosine = normal.dot(other_normal);
-  if ((signs_known ? cosine : std::abs(cosine)) < 0.5f) return false;
-  const float height = normal.dot(offset);
-  return 4 * height * height <= offset.squaredNorm();
-}
+class RadiusFitter {
+ public:
+  RadiusFitter(const HaloChunk& own, const FitOptions& options, std::vector<RadiusFit>& fits) : own_(own), options_(options), fits_(fits) {}
+
+  void fit_four(std::uint32_t first, const FourPoints& p, const Nearest& nearest, const Candidates& c, std::array<float, kLanes>& wanted) {
+    for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
+      if (wanted[lane] == 0) continue;
+      const float px = p.x[lane], py = p.y[lane], pz = p.z[lane];
+      collect(c, px, py, pz, wanted[lane]);
+      list_.radius = wanted[lane];
+      for (std::size_t k = 0; k < kNearest; ++k) list_.nearest_squared[k] = nearest.squared[k][lane];
+      if (list_.size() > options_.most || !fit_one(first + lane, list_, c, false)) wanted[lane] = 0;
+    }
+  }
+
+  bool fit_one(std::uint32_t i, const NeighbourList& list, const Candidates& c, bool last) {
+    if (!last && list.size() >= 3 && is_line(list)) return false;
+    fits_[i] = {fit(i, list, c), mean_distance(list.nearest_squared)};
+    return true;
+  }
+
+ private:
+  void collect(const Candidates& c, float px, float py, float pz, float radius) {
+    const std::size_t n = c.num;
+    if (distance_.size() < n) {
+      distance_.resize(n);
+      index_.resize(n);
+    }
+    float* d = distance_.data();
+    const float *cx = c.x.data(), *cy = c.y.data(), *cz = c.z.data();
+    for (std::size_t k = 0; k < n; ++k) {
+      const float dx = cx[k] - px, dy = cy[k] - py, dz = cz[k] - pz;
+      d[k] = dx * dx + dy * dy + dz * dz;
+    }
+    const float limit = radius * radius;
+    std::uint32_t* index = index_.data();
+    std::size_t m = 0;
+    for (std::size_t k = 0; k < n; ++k) {
+      index[m] = static_cast<std::uint32_t>(k);
+      m += d[k] <= limit;
+    }
+    list_.clear();
+    for (std::size_t k = 0; k < m; ++k) {
+      const std::uint32_t j = index[k];
+      if (d[j] > 0) list_.add(cx[j] - px, cy[j] - py, cz[j] - pz, d[j], j);
+    }
+  }
+
+  // Off the line through the point and its farthest neighbour nothing lies further than a 16th of the length.
+  static bool is_line(const NeighbourList& list) {
+    const auto far = static_cast<std::size_t>(std::max_element(list.distance_squared.begin(), list.distance_squared.end()) - list.distance_squared.begin());
+    const Vec3f axis = list.offset(far);
+    const float length_squared = axis.squaredNorm(), limit = length_squared * length_squared / 256;
+    for (std::size_t k = 0; k < list.size(); ++k)
+      if (list.offset(k).cross(axis).squaredNorm() > limit) return false;
+    return true;
+  }
+
+  float fit(std::uint32_t i, const NeighbourList& list, const Candidates& c) const {
+    const float mean = mean_distance(list.nearest_squared);
+    if (list.size() == 0) return options_.lone_radius;
+    if (list.size() < 3 || (own_.flags[i] & SurfelBlock::kIsolated)) return std::min(mean, options_.lone_radius);
+    // Along scan lines the nearest are much closer than the next line: the search radius knows.
+    const float scale = std::max(mean, list.radius < options_.max_radius ? list.radius / static_cast<float>(options_.radius_spacings) : 0.0f);
+    const Face face{decode_normal(own_.normal[i][0], own_.normal[i][1]), (own_.flags[i] & SurfelBlock::kOriented) != 0};
+    TangentCell cell = cell_of(face, list, c, scale, false);
+    if (!cell.bounded() && few_on_face(face, list, c)) cell = cell_of(face, list, c, scale, true);
+    if (cell.bounded()) return std::min(1.1f * std::sqrt(cell.farthest_squared()), 3 * scale);
+    return std::clamp(1.1f * std::sqrt(cell.farthest_bounded_squared()), 0.75f * scale, 1.5f * scale);
+  }
+
+  struct Face {
+    Vec3f normal;
+    bool oriented;
+    // Not on another face of an edge, on the other side of a thin wall, or far off the plane.
+    bool holds(const Vec3f& offset, float distance_squared, std::uint32_t j, const Candidates& c) const {
+      const float height = normal.dot(offset);
+      if (4 * height * height > distance_squared) return false;
+      const float cosine = normal.dot(decode_normal(c.normal[j][0], c.normal[j][1]));
+      return (oriented && (c.flags[j] & SurfelBlock::kOriented) ? cosine : std::abs(cosine)) >= 0.5f;
+    }
+  };
+
+  static bool few_on_face(const Face& face, const NeighbourList& list, const Candidates& c) {
+    int on_face = 0;
+    for (std::size_t k = 0; k < list.size(); ++k) on_face += face.holds(list.offset(k), list.distance_squared[k], list.candidate[k], c);
+    return on_face < 5;
+  }
+
+  static TangentCell cell_of(const Face& face, const NeighbourList& list, const Candidates& c, float scale, bool use_all) {
+    const Vec3f u = across(face.normal), v = face.normal.cross(u);
+    TangentCell cell(3 * scale);
+    // The nearest first: after them hardly any other can cut.
+    for (const bool near : {true, false}) {
+      for (std::size_t k = 0; k < list.size(); ++k) {
+        const float distance_squared = list.distance_squared[k];
+        if ((distance_squared <= list.nearest_squared[kNearest - 1]) != near) continue;
+        if (distance_squared > 4 * cell.farthest_squared()) continue;
+        const Vec3f offset = list.offset(k);
+        // The tangent plane meets the plane half-way between the two points where offset . x = distance^2 / 2.
+        const float tu = u.dot(offset), tv = v.dot(offset);
+        if (!cell.cuts(tu, tv, 0.5f * distance_squared)) continue;
+        if (!use_all && !face.holds(offset, distance_squared, list.candidate[k], c)) continue;
+        cell.clip(tu, tv, 0.5f * distance_squared);
+      }
+    }
+    return cell;
+  }
+
+  const HaloChunk& own_;
+  const FitOptions& options_;
+  std::vector<RadiusFit>& fits_;
+  NeighbourList list_;
+  std::vector<float> distance_;
+  std::vector<std::uint32_t> index_;
+};
 
 }  // namespace
 
-void for_each_neighbourhood(Neighbourhood& around, const FitOptions& options,
-                            const std::function<void(std::uint32_t, NeighbourList&, const Candidates&)>& body) {
-  Walker(around, options, body).run();
+void fit_normals_of(Neighbourhood& around, const FitOptions& options, std::vector<NormalFit>& fits) {
+  fits.assign(around.own().size, {});
+  NormalFitter fitter(options, fits);
+  Walker<NormalFitter>(around, options, fitter).run();
 }
 
-NormalFit fit_normal(const NeighbourList& list) {
-  NormalFit fit;
-  const std::size_t n = list.offset.size();
-  if (n < 3) {
-    fit.isolated = true;
-    return fit;
-  }
-  Vec3d sum = Vec3d::Zero();
-  Mat3d second = Mat3d::Zero();
-  for (const Vec3f& o : list.offset) {
-    const Vec3d p = o.cast<double>();
-    sum += p;
-    second += p * p.transpose();
-  }
-  const Vec3d centroid = sum / static_cast<double>(n + 1);  // the point itself is the origin
-  const Mat3d covariance = second / static_cast<double>(n + 1) - centroid * centroid.transpose();
-  const double scale = covariance.trace();
-  if (!(scale > 0)) {
-    fit.isolated = true;
-    return fit;
-  }
-  Eigen::SelfAdjointEigenSolver<Mat3d> solver;
-  solver.computeDirect(covariance / scale);
-  const Vec3d values = solver.eigenvalues();
-  if (values[1] < 1e-4 * values[2]) {
-    fit.isolated = true;
-    fit.normal = across(solver.eigenvectors().col(2).cast<float>());
-    return fit;
-  }
-  Vec3d normal = solver.eigenvectors().col(0);
-  const double outwards = -normal.dot(centroid);
-  const bool flip = std::abs(outwards) > 1e-9 * std::sqrt(scale) ? outwards < 0 : normal.z() < 0;
-  fit.normal = (flip ? -normal : normal).normalized().cast<float>();
-  return fit;
-}
-
-float fit_radius(const NeighbourList& list, const Candidates& candidates, const Vec3f& normal, std::uint8_t flags, const FitOptions& options) {
-  if (list.items.empty()) return options.lone_radius;
-  const float mean = list.mean_of_nearest;
-  if (list.items.size() < 3) return std::min(mean, options.lone_radius);
-  // Along scan lines the nearest are much closer than the next line: the search radius knows.
-  const float scale = std::max(mean, list.radius < options.max_radius ? list.radius / static_cast<float>(options.radius_spacings) : 0.0f);
-  const bool oriented = (flags & SurfelBlock::kOriented) != 0;
-  std::array<bool, 256> used{};
-  std::size_t on_face = 0;
-  const std::size_t n = std::min<std::size_t>(list.items.size(), used.size());
-  for (std::size_t k = 0; k < n; ++k) {
-    const std::uint32_t j = list.items[k].candidate;
-    const bool signs_known = oriented && (candidates.flags[j] & SurfelBlock::kOriented) != 0;
-    used[k] = on_same_face(list.offset[k], decode_normal(candidates.normal[j][0], candidates.normal[j][1]), normal, signs_known);
-    on_face += used[k];
-  }
-  const bool use_all = on_face < 5;
-  const Vec3f u = across(normal), v = normal.cross(u);
-  TangentCell cell(3 * scale);
-  for (std::size_t k = 0; k < n; ++k) {
-    if (!use_all && !used[k]) continue;
-    const float distance_squared = list.items[k].distance_squared;
-    if (distance_squared > 4 * cell.farthest_squared()) break;  // sorted: nothing further can cut
-    const Vec2f t(u.dot(list.offset[k]), v.dot(list.offset[k]));
-    const float length = t.norm();
-    if (length * length < 1e-4f * distance_squared) continue;
-    // Where the tangent plane meets the plane half-way between the two points.
-    cell.clip(t / length, 0.5f * distance_squared / length);
-  }
-  if (cell.bounded()) return std::min(1.1f * std::sqrt(cell.farthest_squared()), 3 * scale);
-  return std::clamp(1.1f * std::sqrt(cell.farthest_bounded_squared()), 0.75f * scale, 1.5f * scale);
+void fit_radii_of(Neighbourhood& around, const FitOptions& options, std::vector<RadiusFit>& fits) {
+  fits.assign(around.own().size, {});
+  RadiusFitter fitter(around.own(), options, fits);
+  Walker<RadiusFitter>(around, options, fitter).run();
 }
 
 }  // namespace chiaro::stream

@@ -1,6 +1,10 @@
 /// Normals and radii of leaves from their neighbours, across chunk borders.
+///
+/// Local spacing of a point: the distance of its sixth neighbour over sqrt(6 / pi), what it would be on an evenly sampled surface. Neighbours are the
+/// points within some spacings; while they all lie on one line (scan lines) the radius is doubled, up to three times. Everything depends on the points
+/// around only, so that the borders of chunks do not show.
 #pragma once
-#include <span>
+#include <functional>
 #include <vector>
 
 #include "stream/base/types.h"
@@ -8,23 +12,9 @@
 
 namespace chiaro::stream {
 
-/// Neighbours of one point and their offsets from it; points on the same spot are not among them. The 6 nearest come first.
-struct NeighbourList {
-  struct Item {
-    float distance_squared;
-    std::uint32_t candidate;
-    friend bool operator<(const Item& a, const Item& b) { return a.distance_squared < b.distance_squared || (a.distance_squared == b.distance_squared && a.candidate < b.candidate); }
-  };
-  std::vector<Item> items;
-  std::vector<Vec3f> offset;
-  float radius = 0;          ///< all neighbours within it are here, up to the maximum number
-  float mean_of_nearest = 0; ///< mean distance of the (up to) 6 nearest, project units
-};
-
 struct FitOptions {
   double radius_spacings = 3.5;  ///< neighbours within this many local spacings
   std::size_t most = 96;         ///< of these, the nearest so many
-  bool sorted = false;           ///< nearest first
   float max_radius = 0;          ///< beyond it nothing is a neighbour
   float lone_radius = 0;         ///< radius of a disc without neighbours
 };
@@ -34,14 +24,17 @@ struct NormalFit {
   bool isolated = false;         ///< fewer than 3 neighbours, or all on a line: the normal is a guess
 };
 
-/// Calls body(i, neighbours, candidates) for every distinct position of the chunk.
-void for_each_neighbourhood(Neighbourhood& around, const FitOptions& options,
-                            const std::function<void(std::uint32_t i, NeighbourList& list, const Candidates& candidates)>& body);
+struct RadiusFit {
+  float radius = 0;
+  float mean_of_nearest = 0;     ///< mean distance of the (up to) 6 nearest
+};
 
-/// Plane through the neighbours and the point; the normal points away from their centroid.
-NormalFit fit_normal(const NeighbourList& list);
+/// Normal of the plane through the neighbours and the point, for every distinct position of the chunk; it points away from their centroid.
+void fit_normals_of(Neighbourhood& around, const FitOptions& options, std::vector<NormalFit>& fits);
 
-/// Radius of the disc that covers the point's Voronoi cell in its tangent plane; bounded for points on a border. the list must be sorted.
-float fit_radius(const NeighbourList& list, const Candidates& candidates, const Vec3f& normal, std::uint8_t flags, const FitOptions& options);
+/// Radius of the disc that covers the point's Voronoi cell in its tangent plane, for every distinct position of the chunk. Neighbours bound the cell by
+/// the plane half-way to them; those on another face (normals more than 60 degrees apart, or far off the plane) do not, unless too few others exist.
+/// Points on a border, whose cell is open, get at most 1.5 and others at most 3 mean distances of their nearest.
+void fit_radii_of(Neighbourhood& around, const FitOptions& options, std::vector<RadiusFit>& fits);
 
 }  // namespace chiaro::stream
