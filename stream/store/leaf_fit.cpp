@@ -135,7 +135,11 @@ void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report) {
     if (!(e.radius_max > 0)) e.radius_max = options.lone_radius;
     for (std::uint32_t i = 0; i < own.size; ++i) {
       const std::uint8_t code = encode_radius(fits[i].radius, e.radius_max);
-      for (std::uint32_t slot = own.first_slot[i]; slot < own.first_slot[i + 1]; ++slot) blocks[slot / 16].log_radius[slot % 16] = code;
+      for (std::uint32_t slot = own.first_slot[i]; slot < own.first_slot[i + 1]; ++slot) {
+        SurfelBlock& b = blocks[slot / 16];
+        b.log_radius[slot % 16] = code;
+        if (fits[i].outlier) b.flags[slot % 16] = static_cast<std::uint8_t>(b.flags[slot % 16] | SurfelBlock::kIsolated);
+      }
     }
     job.geometry.write_at(e.offset, blocks.data(), geometry_bytes(e.count));
     e.geometry_crc = crc32c(blocks.data(), geometry_bytes(e.count));

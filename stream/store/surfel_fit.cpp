@@ -69,7 +69,8 @@ struct NeighbourList {
   std::vector<float> distance_squared;
   std::vector<std::uint32_t> candidate;
   std::array<float, kNearest> nearest_squared{};
-  float radius = 0;  ///< all neighbours within it are here, up to the maximum number
+  float radius = 0;       ///< all neighbours within it are here, up to the maximum number
+  std::size_t total = 0;  ///< how many lie within it
   std::size_t size() const { return x.size(); }
   Vec3f offset(std::size_t k) const { return {x[k], y[k], z[k]}; }
   void clear() {
@@ -205,6 +206,7 @@ class Walker {
   void fill(float wanted, std::uint32_t i) {
     const auto end = std::partition(near_.begin(), near_.end(), [&](const auto& item) { return item.first <= wanted * wanted; });
     near_.erase(end, near_.end());
+    list_.total = near_.size();
     if (near_.size() > options_.most) {
       std::nth_element(near_.begin(), near_.begin() + static_cast<std::ptrdiff_t>(options_.most), near_.end());
       near_.resize(options_.most);
@@ -238,6 +240,7 @@ using Moments = std::array<double, 10>;
 struct NormalAnswer {
   NormalFit fit;
   bool line = false;
+  double variance_off_plane = 0;   ///< with the plane's three degrees of freedom taken off
 };
 
 NormalAnswer normal_from(const Moments& sums) {
@@ -268,10 +271,34 @@ NormalAnswer normal_from(const Moments& sums) {
     return answer;
   }
   const Vec3d normal = solver.eigenvectors().col(0);
+  answer.variance_off_plane = std::max(0.0, values[0]) * scale * (n + 1) / std::max(1.0, n - 2);
   const double outwards = -normal.dot(Vec3d(m[0], m[1], m[2]));
   const bool flip = std::abs(outwards) > 1e-9 * std::sqrt(scale) ? outwards < 0 : normal.z() < 0;
   answer.fit.normal = (flip ? -normal : normal).normalized().cast<float>();
   return answer;
+}
+
+/// Normals are fitted at three nested radii. The widest one that still fits a plane as well as the narrowest does is taken: wide on flat ground, where it
+/// averages noise, narrow at edges and joints, which a wide one would round off (measured on the rendered tower, 0.8 mm of noise at 9 mm spacing, against
+/// one radius of 3.5 spacings: 95 % of errors below 18 instead of 26 degrees, median 1.5 instead of 1.4).
+constexpr std::size_t kScales = 3;
+constexpr float kScaleOfRadius[kScales] = {1.0f, 0.74f, 0.57f};
+constexpr double kPlaneGrowth = 1.35;   // residual of the wider plane over the narrowest one's that sampling alone explains
+constexpr double kEnoughForPlane = 6;
+
+NormalAnswer normal_of_scales(const std::array<Moments, kScales>& scales) {
+  std::size_t narrowest = kScales - 1;
+  while (narrowest > 0 && scales[narrowest][9] < kEnoughForPlane) --narrowest;
+  if (narrowest == 0) return normal_from(scales[0]);
+  NormalAnswer best = normal_from(scales[narrowest]);
+  if (best.line || best.fit.isolated) return normal_from(scales[0]);
+  const double limit = kPlaneGrowth * kPlaneGrowth * best.variance_off_plane;
+  for (std::size_t s = narrowest; s-- > 0;) {
+    const NormalAnswer wider = normal_from(scales[s]);
+    if (wider.line || wider.fit.isolated || wider.variance_off_plane > limit) break;
+    best = wider;
+  }
+  return best;
 }
 
 class NormalFitter {
@@ -279,48 +306,45 @@ class NormalFitter {
   NormalFitter(const FitOptions& options, std::vector<NormalFit>& fits) : options_(options), fits_(fits) {}
 
   void fit_four(std::uint32_t first, const FourPoints& p, const Nearest&, const Candidates& c, std::array<float, kLanes>& wanted) {
-    Lanes limit;
-    for (std::uint32_t lane = 0; lane < kLanes; ++lane) limit[lane] = wanted[lane] * wanted[lane];
-    Lanes sums[10];
-    for (Lanes& s : sums) s = all(0);
+    Lanes limit[kScales] = {all(0), all(0), all(0)};
+    for (std::size_t s = 0; s < kScales; ++s)
+      for (std::uint32_t lane = 0; lane < kLanes; ++lane) limit[s][lane] = wanted[lane] * wanted[lane] * kScaleOfRadius[s] * kScaleOfRadius[s];
+    Lanes sums[kScales][10];
+    for (auto& scale : sums)
+      for (Lanes& s : scale) s = all(0);
     const float *cx = c.x.data(), *cy = c.y.data(), *cz = c.z.data();
+    const Lanes zero = all(0), one = all(1);
     for (std::size_t k = 0; k < c.num; ++k) {
-      Lanes dx = cx[k] - p.x, dy = cy[k] - p.y, dz = cz[k] - p.z;
-      const Lanes d = dx * dx + dy * dy + dz * dz;
-      const LaneMask inside = (d <= limit) & (d > all(0));
-      const Lanes zero = all(0);
-      dx = inside ? dx : zero;
-      dy = inside ? dy : zero;
-      dz = inside ? dz : zero;
-      sums[0] += dx;
-      sums[1] += dy;
-      sums[2] += dz;
-      sums[3] += dx * dx;
-      sums[4] += dx * dy;
-      sums[5] += dx * dz;
-      sums[6] += dy * dy;
-      sums[7] += dy * dz;
-      sums[8] += dz * dz;
-      sums[9] += inside ? all(1) : zero;
+      const Lanes dx = cx[k] - p.x, dy = cy[k] - p.y, dz = cz[k] - p.z;
+      const Lanes terms[10] = {dx, dy, dz, dx * dx, dx * dy, dx * dz, dy * dy, dy * dz, dz * dz, one};
+      const Lanes d = terms[3] + terms[6] + terms[8];
+      for (std::size_t s = 0; s < kScales; ++s) {
+        const LaneMask inside = (d <= limit[s]) & (d > zero);
+        for (std::size_t t = 0; t < 10; ++t) sums[s][t] += inside ? terms[t] : zero;
+      }
     }
     for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
       if (wanted[lane] == 0) continue;
-      Moments m;
-      for (std::size_t i = 0; i < m.size(); ++i) m[i] = static_cast<double>(sums[i][lane]);
-      const NormalAnswer answer = normal_from(m);
-      if (answer.line || m[9] > static_cast<double>(options_.most)) wanted[lane] = 0;
+      std::array<Moments, kScales> m;
+      for (std::size_t s = 0; s < kScales; ++s)
+        for (std::size_t t = 0; t < 10; ++t) m[s][t] = static_cast<double>(sums[s][t][lane]);
+      const NormalAnswer answer = normal_of_scales(m);
+      if (answer.line || m[0][9] > static_cast<double>(options_.most)) wanted[lane] = 0;
       else fits_[first + lane] = answer.fit;
     }
   }
 
   bool fit_one(std::uint32_t i, const NeighbourList& list, const Candidates&, bool last) {
-    Moments m{};
+    std::array<Moments, kScales> m{};
     for (std::size_t k = 0; k < list.size(); ++k) {
       const double x = static_cast<double>(list.x[k]), y = static_cast<double>(list.y[k]), z = static_cast<double>(list.z[k]);
       const double terms[10] = {x, y, z, x * x, x * y, x * z, y * y, y * z, z * z, 1};
-      for (std::size_t t = 0; t < m.size(); ++t) m[t] += terms[t];
+      for (std::size_t s = 0; s < kScales; ++s) {
+        if (list.distance_squared[k] > list.radius * list.radius * kScaleOfRadius[s] * kScaleOfRadius[s] && s > 0) continue;
+        for (std::size_t t = 0; t < 10; ++t) m[s][t] += terms[t];
+      }
     }
-    const NormalAnswer answer = normal_from(m);
+    const NormalAnswer answer = normal_of_scales(m);
     if (answer.line && !last) return false;
     fits_[i] = answer.fit;
     return true;
@@ -409,18 +433,32 @@ class RadiusFitter {
       const float px = p.x[lane], py = p.y[lane], pz = p.z[lane];
       collect(c, px, py, pz, wanted[lane]);
       list_.radius = wanted[lane];
+      list_.total = list_.size();
       for (std::size_t k = 0; k < kNearest; ++k) list_.nearest_squared[k] = nearest.squared[k][lane];
-      if (list_.size() > options_.most || !fit_one(first + lane, list_, c, false)) wanted[lane] = 0;
+      if (list_.total > options_.most || !fit_one(first + lane, list_, c, false)) wanted[lane] = 0;
     }
   }
 
   bool fit_one(std::uint32_t i, const NeighbourList& list, const Candidates& c, bool last) {
     if (!last && list.size() >= 3 && is_line(list)) return false;
-    fits_[i] = {fit(i, list, c), mean_distance(list.nearest_squared)};
+    const float mean = mean_distance(list.nearest_squared);
+    if (is_outlier(i, list)) fits_[i] = {std::min(mean, options_.lone_radius), mean, true};
+    else fits_[i] = {fit(i, list, c), mean, false};
     return true;
   }
 
  private:
+  // Near an evenly sampled surface the search finds pi * spacings^2 points. An outlier finds many more, all on one side of it.
+  bool is_outlier(std::uint32_t i, const NeighbourList& list) const {
+    constexpr double kCrowded = 4 * 3.14159;
+    if (static_cast<double>(list.total) < kCrowded * options_.radius_spacings * options_.radius_spacings) return false;
+    const Vec3f normal = decode_normal(own_.normal[i][0], own_.normal[i][1]);
+    float height = 0;
+    for (std::size_t k = 0; k < list.size(); ++k) height += normal.dot(list.offset(k));
+    height /= static_cast<float>(list.size());
+    return height * height > 0.1f * list.nearest_squared[kNearest - 1];
+  }
+
   void collect(const Candidates& c, float px, float py, float pz, float radius) {
     const std::size_t n = c.num;
     if (distance_.size() < n) {
@@ -467,7 +505,7 @@ class RadiusFitter {
     TangentCell cell = cell_of(face, list, c, scale, false);
     if (!cell.bounded() && few_on_face(face, list, c)) cell = cell_of(face, list, c, scale, true);
     if (cell.bounded()) return std::min(1.1f * std::sqrt(cell.farthest_squared()), 3 * scale);
-    return std::clamp(1.1f * std::sqrt(cell.farthest_bounded_squared()), 0.75f * scale, 1.5f * scale);
+    return std::clamp(1.1f * std::sqrt(cell.farthest_bounded_squared()), 0.75f * scale, 1.0f * scale);
   }
 
   struct Face {

@@ -27,14 +27,16 @@ struct NormalFit {
 struct RadiusFit {
   float radius = 0;
   float mean_of_nearest = 0;     ///< mean distance of the (up to) 6 nearest
+  bool outlier = false;          ///< off a surface that is sampled much more densely than its own surroundings
 };
 
-/// Normal of the plane through the neighbours and the point, for every distinct position of the chunk; it points away from their centroid.
+/// Normal of the plane through the neighbours and the point, for every distinct position of the chunk; it points away from their centroid. Fitted at
+/// three nested radii, of which the widest is taken that fits as well as the narrowest: edges stay sharp where flat ground is averaged.
 void fit_normals_of(Neighbourhood& around, const FitOptions& options, std::vector<NormalFit>& fits);
 
 /// Radius of the disc that covers the point's Voronoi cell in its tangent plane, for every distinct position of the chunk. Neighbours bound the cell by
 /// the plane half-way to them; those on another face (normals more than 60 degrees apart, or far off the plane) do not, unless too few others exist.
-/// Points on a border, whose cell is open, get at most 1.5 and others at most 3 mean distances of their nearest.
+/// Points on a border, whose cell is open, get at most 1 and others at most 3 mean distances of their nearest; outliers no more than lone_radius.
 void fit_radii_of(Neighbourhood& around, const FitOptions& options, std::vector<RadiusFit>& fits);
 
 }  // namespace chiaro::stream

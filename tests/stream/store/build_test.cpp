@@ -138,6 +138,41 @@ TEST(Build, OneFarPointDegradesNobody) {
   EXPECT_EQ(isolated, 1u);
 }
 
+TEST(Build, OutliersNearASurfaceStaySmall) {
+  const ScratchFolder scratch;
+  MemoryCloud cloud = plane_cloud(40000);  // spacing 0.005
+  for (int i = 0; i < 5; ++i) cloud.position.push_back({0.1 + 0.2 * i, 0.5, 0.04 + 0.02 * i});
+  build(cloud, scratch.path() / "a.chiaro");
+  const Store store(scratch.path() / "a.chiaro");
+  for (const std::uint32_t leaf : store.leaves()) {
+    const Chunk c = store.read_chunk(leaf);
+    const auto sources = store.read_sources(leaf);
+    for (std::uint32_t i = 0; i < c.count; ++i) {
+      ASSERT_LT(c.surfel(i).radius, 0.03f);
+      ASSERT_EQ((c.surfel(i).flags & SurfelBlock::kIsolated) != 0, sources[i] >= 40000) << sources[i];
+    }
+  }
+}
+
+TEST(Build, ScanLinesFarApartAreClosed) {
+  const ScratchFolder scratch;
+  MemoryCloud cloud;  // points every 2 mm on lines every 10 mm
+  for (int line = 0; line < 60; ++line)
+    for (int i = 0; i < 300; ++i) cloud.position.push_back({0.002 * i + 0.0005 * uniform(static_cast<std::uint64_t>(i), 1), 0.01 * line, 0.0001 * uniform(static_cast<std::uint64_t>(i), 2)});
+  build(cloud, scratch.path() / "a.chiaro");
+  const Store store(scratch.path() / "a.chiaro");
+  for (const std::uint32_t leaf : store.leaves()) {
+    const Chunk c = store.read_chunk(leaf);
+    for (std::uint32_t i = 0; i < c.count; ++i) {
+      const Surfel s = c.surfel(i);
+      if (s.position_in_world.x() < 0.02 || s.position_in_world.x() > 0.58 || s.position_in_world.y() < 0.02 || s.position_in_world.y() > 0.57) continue;
+      ASSERT_GT(s.radius, 0.005f);
+      ASSERT_LT(s.radius, 0.02f);
+      ASSERT_GT(std::abs(s.normal.z()), 0.99f);
+    }
+  }
+}
+
 TEST(Build, LinesPlanesAndVolumesAreStored) {
   const ScratchFolder scratch;
   MemoryCloud line, volume;
