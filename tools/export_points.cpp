@@ -23,7 +23,7 @@ using stream::PointProperty;
 using stream::ScalarType;
 
 constexpr std::uint16_t kMidGrey16 = 128 * 257;
-constexpr std::size_t kReadPoints = 16384;
+constexpr std::size_t kReadPoints = 16384, kReadBytes = 256;   // points read at once, and what a reader holds for each
 
 /// What the store knows about a point, on its way from the leaves' order to the input's.
 struct PointRecord {
@@ -116,6 +116,7 @@ class Buckets {
   void add(const PointRecord& record) {
     const auto bucket = static_cast<std::size_t>(record.source / per_bucket_);
     if (bucket >= buffers_.size()) throw Error(concat(file_.path().string(), ": source index ", record.source, " lies beyond the points that were read"));
+    if (buffers_[bucket].empty()) buffers_[bucket].reserve(buffer_records_);
     buffers_[bucket].push_back(record);
     if (buffers_[bucket].size() >= buffer_records_) flush(bucket);
   }
@@ -333,7 +334,8 @@ class Exporter {
       const BudgetLease lease(budget_, num_buckets * buffer_records * sizeof(PointRecord), "buffers of the export");
       fill_buckets(buckets);
     }
-    const BudgetLease lease(budget_, per_bucket * (sizeof(PointRecord) + sizeof(std::uint32_t)) + kReadPoints * (rows_->row_bytes() + 256), "a bucket of the export");
+    read_points_ = static_cast<std::size_t>(std::clamp<std::uint64_t>(share / (rows_->row_bytes() + kReadBytes), 256, kReadPoints));
+    const BudgetLease lease(budget_, per_bucket * (sizeof(PointRecord) + sizeof(std::uint32_t)) + read_points_ * (rows_->row_bytes() + kReadBytes), "a bucket of the export");
     write_rows(buckets, per_bucket);
     if (stats_.points_moved > 0)
       report_.note(concat("export: ", stats_.points_moved, " points lie elsewhere in the store than in the source files (aligned scans): the stored positions are written"));
@@ -389,7 +391,7 @@ class Exporter {
       for (std::size_t i = 0; i < records.size(); ++i) place[static_cast<std::size_t>(records[i].source - first)] = static_cast<std::uint32_t>(i);
       for (std::uint64_t at = first; at < end;) {
         report_.check();
-        at += write_block(records, place, static_cast<std::size_t>(at - first), static_cast<std::size_t>(std::min<std::uint64_t>(kReadPoints, end - at)), *writer);
+        at += write_block(records, place, static_cast<std::size_t>(at - first), static_cast<std::size_t>(std::min<std::uint64_t>(read_points_, end - at)), *writer);
         report_.progress(stats_.points);
       }
     }
@@ -432,6 +434,7 @@ class Exporter {
   std::optional<SourceFiles> sources_;
   std::optional<RowPacker> rows_;
   std::uint64_t num_sources_ = 0;
+  std::size_t read_points_ = kReadPoints;
   std::vector<std::byte> row_buffer_;
   ExportStats stats_;
 };

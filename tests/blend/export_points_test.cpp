@@ -1,0 +1,387 @@
+#include "tools/export_points.h"
+
+#include <gtest/gtest.h>
+
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <fstream>
+
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/base/parallel.h"
+#include "stream/base/rng.h"
+#include "stream/cloud/point_stream.h"
+#include "stream/store/layer.h"
+#include "stream/store/octree_build.h"
+
+namespace chiaro::tools {
+namespace {
+
+constexpr std::uint64_t kPlenty = std::uint64_t{1} << 30;
+constexpr std::size_t kPoints = 6000;
+
+struct InputPoint {
+  double x = 0, y = 0, z = 0;
+  std::uint8_t red = 0, green = 0, blue = 0;
+  float quality = 0;
+  std::int32_t scan = 0;
+};
+
+/// A bumpy sheet in random order; every 997th point has no position.
+std::vector<InputPoint> input_points(std::uint64_t seed) {
+  std::vector<InputPoint> points(kPoints);
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const auto u = uniform01x4(seed, Purpose::kTest, i, 0);
+    InputPoint& p = points[i];
+    p.x = 500000 + static_cast<double>(u[0]);   // as far from the origin as surveys are: needs double
+    p.y = static_cast<double>(u[1]);
+    p.z = 0.02 * std::sin(9 * static_cast<double>(u[0]));
+    p.red = static_cast<std::uint8_t>(i % 251);
+    p.green = static_cast<std::uint8_t>(i % 241);
+    p.blue = static_cast<std::uint8_t>(i % 239);
+    p.quality = u[2];
+    p.scan = static_cast<std::int32_t>(i) - 3000;
+    if (i % 997 == 5) p.x = std::nan("");
+  }
+  return points;
+}
+
+template <class T>
+void append(std::string& text, const T& value) {
+  text.append(reinterpret_cast<const char*>(&value), sizeof value);
+}
+
+void write_ply(const std::filesystem::path& path, const std::vector<InputPoint>& points, bool with_scan = true) {
+  std::string text = "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(points.size()) +
+                     "\nproperty double x\nproperty double y\nproperty double z\nproperty float quality\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
+  if (with_scan) text += "property int scan\n";
+  text += "end_header\n";
+  for (const InputPoint& p : points) {
+    append(text, p.x);
+    append(text, p.y);
+    append(text, p.z);
+    append(text, p.quality);
+    append(text, p.red);
+    append(text, p.green);
+    append(text, p.blue);
+    if (with_scan) append(text, p.scan);
+  }
+  write_text(path, text);
+}
+
+/// A binary PLY as written, by rows of named values.
+struct PlyFile {
+  std::vector<std::string> properties;   // "type name"
+  std::vector<std::vector<double>> rows;
+  const std::vector<double>& row(std::size_t i) const { return rows[i]; }
+  double at(std::size_t i, const std::string& name) const {
+    for (std::size_t c = 0; c < properties.size(); ++c)
+      if (properties[c].substr(properties[c].find(' ') + 1) == name) return rows[i][c];
+    throw std::out_of_range(name);
+  }
+};
+
+template <class T>
+double take(const char*& at) {
+  T v;
+  std::memcpy(&v, at, sizeof v);
+  at += sizeof v;
+  return static_cast<double>(v);
+}
+
+PlyFile read_ply(const std::filesystem::path& path) {
+  const std::string text = read_text(path);
+  const std::size_t end = text.find("end_header\n") + 11;
+  std::istringstream header(text.substr(0, end));
+  PlyFile ply;
+  std::size_t count = 0;
+  for (std::string line; std::getline(header, line);) {
+    if (line.rfind("element vertex ", 0) == 0) count = std::stoul(line.substr(15));
+    if (line.rfind("property ", 0) == 0) ply.properties.push_back(line.substr(9));
+  }
+  const char* at = text.data() + end;
+  for (std::size_t i = 0; i < count; ++i) {
+    std::vector<double> row;
+    for (const std::string& p : ply.properties) {
+      const std::string type = p.substr(0, p.find(' '));
+      row.push_back(type == "double" ? take<double>(at) : type == "float" ? take<float>(at) : type == "uchar" ? take<std::uint8_t>(at) : type == "ushort" ? take<std::uint16_t>(at)
+                                                                                                                                       : take<std::int32_t>(at));
+    }
+    ply.rows.push_back(std::move(row));
+  }
+  EXPECT_EQ(at, text.data() + text.size());
+  return ply;
+}
+
+class NotingReporter : public Reporter {
+ public:
+  void begin(std::string_view, std::uint64_t, std::string_view) override {}
+  void progress(std::uint64_t) override {}
+  void end() override {}
+  void note(std::string_view text) override { notes += std::string(text) + "\n"; }
+  bool cancelled() const override { return false; }
+  std::string notes;
+};
+
+Vec3f albedo_of(std::uint64_t source) {
+  const auto u = uniform01x4(77, Purpose::kTest, source, 0);
+  return {u[0], u[1], u[2]};
+}
+bool seen(const Vec3d& position) { return position.y() < 0.6; }
+
+class ExportPoints : public ::testing::Test {
+ protected:
+  ScratchFolder folder;
+  std::vector<InputPoint> points = input_points(1);
+  std::filesystem::path cloud = folder.path() / "cloud.ply";
+  NotingReporter report;
+
+  stream::Store build(const std::vector<std::filesystem::path>& files) {
+    MemoryBudget budget(kPlenty);
+    stream::BuildOptions options;
+    options.chunk_surfels = 700;
+    stream::build_store(files, folder.path() / "store.chiaro", options, budget, silent_reporter());
+    return stream::Store(folder.path() / "store.chiaro");
+  }
+  stream::Store build() {
+    write_ply(cloud, points);
+    return build({cloud});
+  }
+  static void write_layer(const stream::Store& store) {
+    stream::LayerWriter writer(store, "albedo", stream::albedo_fields(), "{}");
+    for (const std::uint32_t leaf : store.leaves()) {
+      const stream::Chunk chunk = store.read_chunk(leaf);
+      const auto sources = store.read_sources(leaf);
+      const std::size_t n = chunk.count;
+      std::vector<float> albedo(3 * n, std::nanf("")), sigma(n, std::nanf(""));
+      std::vector<std::uint16_t> photos(n, 0);
+      for (std::uint32_t i = 0; i < n; ++i) {
+        if (!seen(chunk.surfel(i).position_in_world)) continue;
+        const Vec3f a = albedo_of(sources[i]);
+        for (std::size_t c = 0; c < 3; ++c) albedo[c * n + i] = a[static_cast<Eigen::Index>(c)];
+        sigma[i] = 0.01f * static_cast<float>(1 + sources[i] % 7);
+        photos[i] = static_cast<std::uint16_t>(1 + sources[i] % 5);
+      }
+      std::vector<std::byte> planar(n * 18);
+      std::memcpy(planar.data(), albedo.data(), 12 * n);
+      std::memcpy(planar.data() + 12 * n, sigma.data(), 4 * n);
+      std::memcpy(planar.data() + 16 * n, photos.data(), 2 * n);
+      writer.write_chunk(leaf, planar);
+    }
+    writer.finish_inner(silent_reporter());
+    writer.commit();
+  }
+  ExportStats run(const stream::Store& store, ExportOptions options, std::uint64_t bytes = kPlenty) {
+    MemoryBudget budget(bytes);
+    const ExportStats stats = export_points(store, options, folder.path() / "scratch", budget, report);
+    EXPECT_EQ(budget.used_bytes(), 0u);
+    EXPECT_TRUE(std::filesystem::is_empty(folder.path() / "scratch"));
+    return stats;
+  }
+  ExportOptions to(const std::string& name) {
+    ExportOptions options;
+    options.file = folder.path() / name;
+    return options;
+  }
+};
+
+int srgb(double v) { return static_cast<int>(std::lround(255 * (v <= 0.0031308 ? 12.92 * v : 1.055 * std::pow(v, 1 / 2.4) - 0.055))); }
+
+TEST_F(ExportPoints, WritesTheContractsPropertiesInInputOrder) {
+  const stream::Store store = build();
+  write_layer(store);
+  const ExportStats stats = run(store, to("albedo.ply"));
+  const PlyFile ply = read_ply(folder.path() / "albedo.ply");
+  const std::vector<std::string> expected{"double x",    "double y",    "double z",       "float nx",       "float ny",       "float nz",    "uchar red",    "uchar green",
+                                          "uchar blue", "float albedo_r", "float albedo_g", "float albedo_b", "float sigma", "ushort photos", "float quality", "int scan"};
+  EXPECT_EQ(ply.properties, expected);
+  EXPECT_EQ(stats.points, ply.rows.size());
+  std::size_t row = 0, unseen = 0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const InputPoint& p = points[i];
+    if (std::isnan(p.x)) continue;   // rejected: left out
+    ASSERT_LT(row, ply.rows.size());
+    ASSERT_EQ(ply.at(row, "x"), p.x);   // the input's exact position
+    ASSERT_EQ(ply.at(row, "z"), p.z);
+    ASSERT_EQ(ply.at(row, "scan"), p.scan);
+    ASSERT_EQ(ply.at(row, "quality"), static_cast<double>(p.quality));
+    ASSERT_GT(std::abs(ply.at(row, "nz")), 0.9);
+    if (ply.at(row, "photos") > 0) {
+      const Vec3f a = albedo_of(i);
+      ASSERT_EQ(ply.at(row, "albedo_g"), static_cast<double>(a.y()));
+      ASSERT_EQ(ply.at(row, "photos"), static_cast<double>(1 + i % 5));
+      ASSERT_NEAR(ply.at(row, "sigma"), 0.01 * static_cast<double>(1 + i % 7), 1e-6);
+      ASSERT_NEAR(ply.at(row, "blue"), srgb(static_cast<double>(a.z())), 1);
+    } else {
+      ++unseen;
+      ASSERT_GT(p.y, 0.59);
+      ASSERT_TRUE(std::isnan(ply.at(row, "albedo_r")) && std::isnan(ply.at(row, "sigma")));
+      ASSERT_EQ(ply.at(row, "red"), p.red);   // the input's colour
+      ASSERT_EQ(ply.at(row, "blue"), p.blue);
+    }
+    ++row;
+  }
+  EXPECT_EQ(row, ply.rows.size());
+  EXPECT_EQ(stats.points_unseen, unseen);
+  EXPECT_FALSE(stats.positions_from_store);
+  EXPECT_EQ(stats.points_moved, 0u);
+}
+
+TEST_F(ExportPoints, BudgetAndThreadsDoNotChangeTheBytes) {
+  const stream::Store store = build();
+  write_layer(store);
+  run(store, to("a.ply"));
+  run(store, to("b.ply"), 4 << 20);
+  {
+    const ThreadLimit one(1);
+    run(store, to("c.ply"), 3 << 20);
+  }
+  const std::string a = read_text(folder.path() / "a.ply");
+  EXPECT_EQ(a, read_text(folder.path() / "b.ply"));
+  EXPECT_EQ(a, read_text(folder.path() / "c.ply"));
+  MemoryBudget tiny(1000);
+  EXPECT_THROW(export_points(store, to("d.ply"), folder.path() / "scratch", tiny, report), Error);
+  EXPECT_FALSE(std::filesystem::exists(folder.path() / "d.ply"));
+}
+
+TEST_F(ExportPoints, FillGivesUnseenPointsTheirNeighboursAlbedoAndKeepsThemMarked) {
+  const stream::Store store = build();
+  write_layer(store);
+  ExportOptions options = to("filled.ply");
+  options.fill = true;
+  const ExportStats stats = run(store, options);
+  EXPECT_EQ(stats.points_filled, stats.points_unseen);
+  EXPECT_GT(stats.points_filled, 1000u);
+  const PlyFile ply = read_ply(folder.path() / "filled.ply");
+  std::uint64_t unseen = 0;
+  for (std::size_t i = 0; i < ply.rows.size(); ++i) {
+    ASSERT_GE(ply.at(i, "albedo_r"), 0);
+    ASSERT_LE(ply.at(i, "albedo_r"), 1);
+    if (ply.at(i, "photos") > 0) continue;
+    ++unseen;
+    ASSERT_TRUE(std::isnan(ply.at(i, "sigma")));
+    ASSERT_NEAR(ply.at(i, "red"), srgb(ply.at(i, "albedo_r")), 1);
+  }
+  EXPECT_EQ(unseen, stats.points_unseen);
+}
+
+TEST_F(ExportPoints, AFlatAlbedoIsFilledFlat) {
+  const stream::Store store = build();
+  stream::LayerWriter writer(store, "albedo", stream::albedo_fields(), "{}");
+  for (const std::uint32_t leaf : store.leaves()) {
+    const stream::Chunk chunk = store.read_chunk(leaf);
+    const std::size_t n = chunk.count;
+    std::vector<float> values(4 * n, 0.25f);
+    std::vector<std::uint16_t> photos(n, 1);
+    for (std::uint32_t i = 0; i < n; ++i)
+      if (chunk.surfel(i).position_in_world.y() > 0.1) {
+        for (std::size_t c = 0; c < 3; ++c) values[c * n + i] = std::nanf("");
+        photos[i] = 0;
+      }
+    std::vector<std::byte> planar(n * 18);
+    std::memcpy(planar.data(), values.data(), 16 * n);
+    std::memcpy(planar.data() + 16 * n, photos.data(), 2 * n);
+    writer.write_chunk(leaf, planar);
+  }
+  writer.finish_inner(silent_reporter());
+  writer.commit();
+  ExportOptions options = to("flat.ply");
+  options.fill = true;
+  run(store, options);
+  const PlyFile ply = read_ply(folder.path() / "flat.ply");
+  for (std::size_t i = 0; i < ply.rows.size(); ++i) ASSERT_NEAR(ply.at(i, "albedo_b"), 0.25, 1e-5);
+}
+
+TEST_F(ExportPoints, AChangedSourceFileGivesPositionsOfTheStoreAndANote) {
+  const stream::Store store = build();
+  write_layer(store);
+  points[10].quality += 1;
+  write_ply(cloud, points);
+  const ExportStats stats = run(store, to("albedo.ply"));
+  EXPECT_TRUE(stats.positions_from_store);
+  EXPECT_NE(report.notes.find("cloud.ply has changed"), std::string::npos) << report.notes;
+  const PlyFile ply = read_ply(folder.path() / "albedo.ply");
+  EXPECT_EQ(ply.properties.size(), 14u);
+  EXPECT_EQ(ply.properties[0], "double x");   // half a million metres away from the origin
+  std::size_t row = 0;
+  for (const InputPoint& p : points) {
+    if (std::isnan(p.x)) continue;
+    ASSERT_NEAR(ply.at(row, "x"), p.x, 1e-4);
+    ASSERT_NEAR(ply.at(row++, "y"), p.y, 1e-4);
+  }
+  std::filesystem::remove(cloud);
+  report.notes.clear();
+  EXPECT_TRUE(run(store, to("albedo.ply")).positions_from_store);
+  EXPECT_NE(report.notes.find("not there any more"), std::string::npos) << report.notes;
+}
+
+TEST_F(ExportPoints, SeveralFilesFollowOneAnotherAndKeepWhatAllOfThemHave) {
+  const auto second = input_points(2);
+  const auto other = folder.path() / "second.ply";
+  write_ply(cloud, points);
+  write_ply(other, second, false);
+  const stream::Store store = build({cloud, other});
+  write_layer(store);
+  run(store, to("albedo.ply"));
+  const PlyFile ply = read_ply(folder.path() / "albedo.ply");
+  EXPECT_EQ(ply.properties.back(), "float quality");
+  EXPECT_NE(report.notes.find("\"scan\" is left out"), std::string::npos) << report.notes;
+  std::size_t row = 0;
+  for (const std::vector<InputPoint>* file : {static_cast<const std::vector<InputPoint>*>(&points), &second})
+    for (const InputPoint& p : *file) {
+      if (std::isnan(p.x)) continue;
+      ASSERT_EQ(ply.at(row, "x"), p.x);
+      ASSERT_EQ(ply.at(row++, "quality"), static_cast<double>(p.quality));
+    }
+  EXPECT_EQ(row, ply.rows.size());
+}
+
+TEST_F(ExportPoints, AnExportIngestedAgainDoesNotRepeatItsProperties) {
+  const stream::Store first = build();
+  write_layer(first);
+  run(first, to("albedo.ply"));
+  const PlyFile before = read_ply(folder.path() / "albedo.ply");
+  const stream::Store again = build({folder.path() / "albedo.ply"});
+  write_layer(again);
+  run(again, to("twice.ply"));
+  EXPECT_EQ(read_ply(folder.path() / "twice.ply").properties, before.properties);
+  EXPECT_NE(report.notes.find("replaced"), std::string::npos);
+}
+
+TEST_F(ExportPoints, WithoutALayerItIsTheGeometryAndTheInputsColour) {
+  const stream::Store store = build();
+  ExportOptions options = to("plain.ply");
+  options.layer.clear();
+  run(store, options);
+  const PlyFile ply = read_ply(folder.path() / "plain.ply");
+  EXPECT_EQ(ply.properties.size(), 11u);
+  EXPECT_EQ(ply.at(3, "green"), 3);
+  options.layer = "albedo";
+  EXPECT_THROW(run(store, options), Error);
+}
+
+TEST_F(ExportPoints, LasAndPcdHoldTheSamePointsAndCarryTheAlbedo) {
+  const stream::Store store = build();
+  write_layer(store);
+  for (const char* name : {"albedo.las", "albedo.pcd"}) {
+    run(store, to(name));
+    const auto reader = stream::open_points(folder.path() / name);
+    stream::PointBlock block, all;
+    while (reader->read(block, 1000)) all.position.insert(all.position.end(), block.position.begin(), block.position.end());
+    std::size_t row = 0;
+    for (const InputPoint& p : points) {
+      if (std::isnan(p.x)) continue;
+      ASSERT_LT(row, all.size()) << name;
+      ASSERT_NEAR(all.position[row].y(), p.y, 2e-4) << name;
+      ASSERT_NEAR(all.position[row++].x(), p.x, 2e-4) << name;
+    }
+    EXPECT_EQ(row, all.size());
+    bool has_albedo = false;
+    for (const auto& e : reader->schema().extras) has_albedo |= e.name == "albedo_r";
+    EXPECT_TRUE(has_albedo) << name;
+  }
+}
+
+}  // namespace
+}  // namespace chiaro::tools
