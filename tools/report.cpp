@@ -95,14 +95,21 @@ std::vector<ReportedPhotograph> used_photographs(const ReportData& data, const f
   return used;
 }
 
-/// One exposure for all photographs: 99 % of the values that lie on the cloud are below white.
+/// One exposure for all photographs: 99 % of the values that lie on the cloud are below white. A few photographs from near by, with the flash on top of the
+/// object, must not leave the others in the dark: white is at most one stop above what the photograph in the middle of the set would have.
 double choose_white(const RunFolder& folder, const ReportData& data) {
+  constexpr double kShare = 0.99, kMostOverMiddle = 2;
   LogHistogram all;
+  std::vector<double> each;
   for (const ReportedPhotograph& p : data.photographs) {
     ReportPhoto photo(folder, p.key, data.solved_lights);
-    all.add(radiance_histogram(photo));
+    const LogHistogram own = radiance_histogram(photo);
+    if (own.count() > 0) each.push_back(own.quantile(kShare));
+    all.add(own);
   }
-  const double white = all.quantile(0.99);
+  if (each.empty()) return 1;
+  std::sort(each.begin(), each.end());
+  const double white = std::min(all.quantile(kShare), kMostOverMiddle * each[each.size() / 2]);
   return white > 0 ? white : 1;
 }
 
@@ -127,8 +134,8 @@ void choose_scales(ReportData& data) {
     indirect.add(p.measures.indirect);
     ambient.add(p.measures.ambient);
   }
-  // The top per cent saturates: a few edges must not darken the rest. What is the same everywhere may end just above a round number: 1 % of play.
-  const auto range = [](const LogHistogram& h) { return std::min(1.0, round_range(h.quantile(0.99) * 0.99)); };
+  // The top saturates: a few edges must not darken the rest. What is the same everywhere may end just above a round number: 1 % of play.
+  const auto range = [](const LogHistogram& h) { return std::min(1.0, round_range(h.quantile(0.96) * 0.99)); };
   data.scales.difference = range(difference);
   data.scales.sigma = range(sigma);
   data.scales.indirect = range(indirect);

@@ -20,11 +20,11 @@ main{max-width:1500px;margin:0 auto;padding:24px}
 h1{font-size:1.7em;margin:0;color:var(--strong)}
 h2{font-size:1.25em;margin:2em 0 .5em;color:var(--strong)}
 h3{font-size:1.05em;margin:0 0 .3em;color:var(--strong)}
-p{max-width:75ch;margin:.4em 0}
+p{max-width:95ch;margin:.4em 0}
 .soft{color:var(--soft)}
 .tiles{display:grid;grid-template-columns:repeat(auto-fill,minmax(185px,1fr));gap:10px;margin:18px 0}
 .tile{background:var(--panel);border-radius:6px;padding:10px 14px}
-.tile b{display:block;font-size:1.45em;font-weight:600;color:var(--strong);font-variant-numeric:tabular-nums}
+.tile b{display:block;font-size:1.18em;font-weight:600;color:var(--strong);font-variant-numeric:tabular-nums}
 .tile span{color:var(--soft);font-size:.9em}
 .scroll{overflow-x:auto}
 table{border-collapse:collapse;font-variant-numeric:tabular-nums;margin:.5em 0}
@@ -33,7 +33,7 @@ th{color:var(--soft);font-weight:600}
 th.word,td.word{text-align:left}
 td.long{min-width:20em;max-width:48em}
 section.photograph{background:var(--panel);border-radius:6px;padding:14px 16px;margin:14px 0}
-.pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,330px),1fr));gap:14px;margin-top:10px}
+.pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,400px),1fr));gap:14px;margin-top:10px}
 figure{margin:0}
 figure img{display:block;width:100%;height:auto;background:#464646;image-rendering:auto}
 figure.small-source img{image-rendering:pixelated}
@@ -41,7 +41,7 @@ figcaption{font-size:.88em;color:var(--soft);margin-top:4px}
 figcaption b{color:var(--text);font-weight:600}
 .bar{display:flex;align-items:center;gap:6px;margin-top:3px}
 .bar i{flex:1;height:9px;border:1px solid #777}
-dl{max-width:95ch;display:grid;grid-template-columns:max-content 1fr;gap:4px 18px;margin:.5em 0}
+dl{max-width:115ch;display:grid;grid-template-columns:max-content 1fr;gap:4px 18px;margin:.5em 0}
 dt{font-weight:600}
 dd{margin:0;color:var(--soft)}
 details{background:var(--panel);border-radius:6px;padding:8px 14px;margin:10px 0}
@@ -49,9 +49,15 @@ summary{cursor:pointer}
 pre{overflow:auto;max-height:70vh;font-size:12px;line-height:1.35}
 )";
 
-std::string percent(double share, int digits = 3) { return std::isfinite(share) ? format_number(100 * share, digits) + " %" : "–"; }
+std::string percent(double share, int digits = 3) { return std::isfinite(share) ? format_number(100 * share, digits) + "\u00a0%" : "–"; }
 std::string number(double v, int digits = 4) { return std::isnan(v) ? "–" : std::isinf(v) ? "identical" : format_number(v, digits); }
-std::string with_sd(double v, double sd) { return std::isfinite(v) ? number(v) + (sd > 0 ? " ± " + format_number(sd, 2) : "") : "–"; }
+std::string with_sd(double v, double sd) { return std::isfinite(v) ? number(v) + (sd > 0 ? "\u00a0±\u00a0" + format_number(sd, 2) : "") : "–"; }
+/// With spaces that do not break.
+std::string counted(std::uint64_t n) {
+  std::string out;
+  for (const char c : format_count(n)) c == ' ' ? out += "\u00a0" : out += c;
+  return out;
+}
 std::string interval(double a, double b) { return std::isfinite(a) && std::isfinite(b) ? number(a) + " … " + number(b) : "–"; }
 
 /// Builds the page: every text goes through text(), everything else is written here.
@@ -134,17 +140,17 @@ double computing_seconds(const ReportData& d) {
 void tiles(Page& page, const ReportData& d) {
   const char* what = d.solved_lights ? "albedo" : "colour";
   page.open("div", "class=\"tiles\"");
-  tile(page, format_count(d.count("points_in")), "points read");
-  tile(page, format_count(d.count("points_out")), "points exported");
+  tile(page, counted(d.count("points_in")), "points read");
+  tile(page, counted(d.count("points_out")), "points exported");
   tile(page, percent(d.coverage()), concat("of the points were seen and have an ", what));
-  tile(page, format_count(d.count("points_unseen")), "points no photograph saw well");
+  tile(page, counted(d.count("points_unseen")), "points no photograph saw well");
   tile(page, concat(d.photographs.size(), " of ", d.photographs.size() + d.photographs_left_out()), "photographs used");
   if (d.solved_lights && d.found.size() == 1) {
     tile(page, with_sd(d.found[0].flash, d.found[0].flash_sd), "flash, W/sr");
     tile(page, with_sd(d.found[0].ambient, d.found[0].ambient_sd), "ambient radiance");
   }
   tile(page, percent(median_over(d, &PhotoMeasures::median_sigma)), concat("typical uncertainty of one photograph's ", what));
-  tile(page, number(median_over(d, &PhotoMeasures::psnr_srgb)) + (std::isfinite(median_over(d, &PhotoMeasures::psnr_srgb)) ? " dB" : ""), "prediction against photograph (PSNR, sRGB), median");
+  tile(page, number(median_over(d, &PhotoMeasures::psnr_srgb)) + (std::isfinite(median_over(d, &PhotoMeasures::psnr_srgb)) ? "\u00a0dB" : ""), "prediction against photograph (PSNR, sRGB), median");
   tile(page, format_seconds(computing_seconds(d)), "computing time");
   const std::uint64_t peak = count_of(member(member(d.record, "memory"), "peak_bytes")), limit = count_of(member(member(d.record, "memory"), "limit_bytes"));
   if (peak > 0) tile(page, format_bytes(peak), limit > 0 ? concat("peak memory, of ", format_bytes(limit), " allowed") : std::string("peak memory"));
@@ -180,7 +186,7 @@ void left_out(Page& page, const ReportData& d) {
   if (!d.left_out.empty()) {
     page.element("h2", "Left out");
     std::vector<std::vector<std::string>> rows;
-    for (const LeftOut& one : d.left_out) rows.push_back({one.kind, one.name, one.kind == "photograph" ? "" : format_count(one.amount), one.reason});
+    for (const LeftOut& one : d.left_out) rows.push_back({one.kind, one.name, one.kind == "photograph" ? "" : counted(one.amount), one.reason});
     table(page, {"kind", "name", "how many", "why"}, "wwnl", rows);
   }
   if (d.notes.empty()) return;
@@ -196,8 +202,10 @@ double share(std::uint64_t part, std::uint64_t whole) { return whole > 0 ? stati
 void numbers(Page& page, const ReportData& d) {
   page.element("h2", "Photographs in numbers");
   page.element("p",
-               concat("The prediction is the blended result, lit again as this photograph was. A high agreement says that all photographs tell the same story of the surface; it does not by "
-                      "itself say that the split into light and albedo is right. PSNR linear has its peak at the white of the pictures (radiance ",
+               concat(d.solved_lights ? "The prediction is the blended result, lit again as this photograph was. A high agreement says that all photographs tell the same story of the surface; it "
+                                        "does not by itself say that the split into light and albedo is right. "
+                                      : "The prediction is the blended result as seen from here. A high agreement says that all photographs tell the same story of the surface. ",
+                      "PSNR linear has its peak at the white of the pictures (radiance ",
                       number(d.scales.white), "), PSNR and SSIM otherwise are of sRGB-encoded values; all within the pixels that have a prediction."),
                "class=\"soft\"");
   std::vector<std::string> headers{"photograph", "size", "solved", "PSNR linear, dB", "PSNR sRGB, dB", "SSIM", "residual rms", "median sigma"};
@@ -216,7 +224,7 @@ void numbers(Page& page, const ReportData& d) {
 void how_to_read(Page& page, const ReportData& d) {
   page.element("h2", "How to read the pictures").open("dl");
   const auto say = [&](const char* name, const std::string& words) { page.element("dt", name).element("dd", words); };
-  say("Photograph", "The input, linear values encoded as sRGB. All photographs have the same exposure, chosen so that one value in a hundred is clipped to white.");
+  say("Photograph", "The input, linear values encoded as sRGB. All photographs have the same exposure, so that they can be compared; the brightest parts of the ones taken from nearest may be clipped to white.");
   say("Prediction", d.solved_lights ? "The final surface colour of all photographs together, lit again by the lights that were found, at the same exposure. It should look like the photograph."
                                     : "The blended colour of all photographs as seen from here, at the same exposure. It should look like the photograph.");
   if (d.solved_lights) {
@@ -225,15 +233,15 @@ void how_to_read(Page& page, const ReportData& d) {
   } else {
     say("Colour", "The colour that this photograph contributes, at the same exposure.");
   }
-  say("Difference", "How far prediction and photograph are apart, as a share of white. Black is no difference. Where structure of the surface shows, registration or geometry is off; where "
-                    "smooth gradients show, the lights are.");
+  say("Difference", concat("How far prediction and photograph are apart, as a share of white. Black is no difference. Where structure of the surface shows, registration or geometry is off; where "
+                           "smooth gradients show, ", d.solved_lights ? "the lights are." : "the photographs were lit differently."));
   say("Uncertainty", concat("Standard deviation of the ", d.solved_lights ? "albedo" : "colour", " relative to its value, from noise", d.solved_lights ? ", lights, normals and bounces together" : "",
                             ". Bright parts are better photographed again."));
   if (d.solved_lights)
     say("Direct, indirect, ambient", "Which share of the light at each place came straight from the flash, from the flash by way of other surfaces, and from the surroundings. The three add up to "
                                      "100 %. Each has its own scale, written below it.");
-  say("Coverage", concat("Grey: how much of each pixel the cloud covers; brighter is more. Orange: within ", number(d.scales.edge_px), " pixels of an edge in depth, where photographs count less."));
-  say("Chequered grey", "No value: outside the mask, not on the cloud, saturated, or too dark to tell.");
+  say("Coverage", concat("Grey: how much of each pixel the cloud covers; brighter is more. Orange: within ", number(d.scales.edge_px), " pixels of an edge in depth, where a photograph counts less."));
+  say("Chequered grey", "No value: outside the mask, not on the cloud, saturated, or too dark to tell; in the prediction also where no photograph sees the surface well enough.");
   page.close("dl");
 }
 
@@ -274,8 +282,8 @@ void pictures(Page& page, const ReportData& d) {
     if (p.pictures.empty()) continue;
     page.open("section", "class=\"photograph\"").element("h3", p.key);
     page.element("p",
-                 concat(p.file, ", ", p.width, " × ", p.height, " pixels, acquisition ", p.acquisition, ". ", format_count(p.measures.usable), " pixels usable, ", format_count(p.measures.solved),
-                        " solved, ", format_count(p.measures.predicted), " predicted."),
+                 concat(p.file, ", ", p.width, " × ", p.height, " pixels, acquisition ", p.acquisition, ". ", counted(p.measures.usable), " pixels usable, ", counted(p.measures.solved),
+                        " solved, ", counted(p.measures.predicted), " predicted."),
                  "class=\"soft\"");
     page.open("div", "class=\"pictures\"");
     for (const ReportPicture& picture : p.pictures) figure(page, picture, p, d);
@@ -295,12 +303,12 @@ void times(Page& page, const ReportData& d) {
   page.element("p", concat("Times are those of the tasks when they ran; the last run itself took ", format_seconds(number_of(member(d.record, "seconds"), 0)), "."), "class=\"soft\"");
   std::vector<std::vector<std::string>> rows;
   for (const StageStatus& s : d.status.stages)
-    rows.push_back({s.name, format_count(s.done), format_count(reused[s.name]), format_seconds(s.seconds), s.done ? format_seconds(s.seconds / static_cast<double>(s.done)) : "–"});
+    rows.push_back({s.name, counted(s.done), counted(reused[s.name]), format_seconds(s.seconds), s.done ? format_seconds(s.seconds / static_cast<double>(s.done)) : "–"});
   rows.push_back({"all", "", "", format_seconds(computing_seconds(d)), ""});
   table(page, {"stage", "tasks", "kept from an earlier run", "time", "per task"}, "w", rows);
   rows.clear();
   for (const PartSize& p : d.status.parts)
-    if (p.name != "report") rows.push_back({p.name, format_bytes(p.bytes), format_count(p.files)});
+    if (p.name != "report") rows.push_back({p.name, format_bytes(p.bytes), counted(p.files)});
   table(page, {"part", "size", "files"}, "w", rows);
 }
 

@@ -39,7 +39,7 @@ bool write_png(std::string& out, char* message, int width, int height, int colou
                PNG_FILTER_TYPE_DEFAULT);
   if (palette) png_set_PLTE(png, info, palette, colours);
   png_set_sRGB(png, info, PNG_sRGB_INTENT_PERCEPTUAL);
-  png_set_compression_level(png, 9);
+  png_set_compression_level(png, 6);
   png_write_info(png, info);
   for (int y = 0; y < height; ++y) png_write_row(png, const_cast<png_bytep>(pixels + static_cast<std::size_t>(y) * row_bytes));
   png_write_end(png, info);

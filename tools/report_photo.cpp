@@ -417,15 +417,15 @@ std::vector<ReportPicture> draw(ReportPhoto& photo, const PictureScales& scales,
   std::vector<ReportPicture> pictures;
   pictures.push_back(colour_picture("photograph", input, scales.white));
   pictures.push_back(colour_picture("prediction", prediction, scales.white));
-  pictures.push_back(colour_picture("albedo", albedo, scales.albedo_white));
   pictures.push_back(scale_picture("difference", difference, scales.difference * scales.white, false));
+  pictures.push_back(colour_picture("albedo", albedo, scales.albedo_white));
   pictures.push_back(scale_picture("sigma", sigma, scales.sigma, false));
+  pictures.push_back(coverage_picture(coverage));
   if (files.light) {
     pictures.push_back(scale_picture("direct", *light[0], 1, true));
     pictures.push_back(scale_picture("indirect", *light[1], scales.indirect, true));
     pictures.push_back(scale_picture("ambient", *light[2], scales.ambient, true));
   }
-  pictures.push_back(coverage_picture(coverage));
   return pictures;
 }
 
