@@ -69,10 +69,18 @@ struct Shader {
   Vec3f proxy_from_tracer;        ///< shift between the two scene frames
   Eigen::Matrix3f world_from_camera;
 
-  /// Albedo of a surfel; of the nearest seen proxy surfel where no photograph saw it.
-  Vec3f albedo_of(const surfels::Hit& hit, const Vec3f& p, bool& unseen) const {
-    const Vec3f a = set.albedo.at(hit.surfel.chunk)[hit.surfel.slot];
-    if (std::isfinite(a.x()) && std::isfinite(a.y()) && std::isfinite(a.z())) return a;
+  /// Albedo blended over the surfels of a hit; of the nearest seen proxy surfel where no photograph saw any of them.
+  Vec3f albedo_of(const surfels::HitBlend& blend, const Vec3f& p, bool& unseen) const {
+    Vec3f sum = Vec3f::Zero();
+    float weight = 0;
+    for (int i = 0; i < blend.count; ++i) {
+      const auto k = static_cast<std::size_t>(i);
+      const Vec3f& a = set.albedo.at(blend.surfel[k].chunk)[blend.surfel[k].slot];
+      if (!(std::isfinite(a.x()) && std::isfinite(a.y()) && std::isfinite(a.z()))) continue;
+      sum += a * blend.weight[k];
+      weight += blend.weight[k];
+    }
+    if (weight > 0) return sum / weight;
     unseen = true;
     std::uint32_t i;
     float d2;
@@ -98,10 +106,11 @@ struct Shader {
         if (!d) continue;
         const surfels::Ray ray{eye, (world_from_camera * d->cast<float>()).normalized(), 0, 1e30f};
         surfels::Hit hit;
-        if (!set.tracer.closest(ray, hit)) continue;
+        surfels::HitBlend blend;
+        if (!set.tracer.closest(ray, hit, blend)) continue;
         ++hits;
         const Vec3f p = ray.origin + ray.direction * hit.t;
-        const Vec3f a = albedo_of(hit, p, unseen);
+        const Vec3f a = albedo_of(blend, p, unseen);
         albedo += a;
         point += p;
         normal += hit.normal;

@@ -341,7 +341,7 @@ RTCRay embree_ray(const Ray& ray) {
 }
 
 /// Blends what lies in the slab behind the first disc. Candidates are sorted, so sums do not depend on the order of traversal.
-void blend(ClosestQuery& q, Hit& hit) {
+void blend(ClosestQuery& q, Hit& hit, HitBlend* parts) {
   std::sort(q.list.begin(), q.list.begin() + q.count, [](const Candidate& a, const Candidate& b) { return a.before(b); });
   const auto normal_of = [](const Candidate& c) {
     const SurfelBlock& b = c.geometry->chunk.blocks[c.slot / 16];
@@ -364,6 +364,11 @@ void blend(ClosestQuery& q, Hit& hit) {
     if (from_behind) n = -n;
     if (n.dot(n_first) < 0.5f) continue;  // another face of an edge
     const float k = 1.0f - c.rho2, w = k * k + 1e-4f;
+    if (parts && parts->count < HitBlend::kMost) {
+      const auto k_part = static_cast<std::size_t>(parts->count++);
+      parts->surfel[k_part] = {c.geometry->chunk.index, static_cast<std::uint16_t>(c.slot)};
+      parts->weight[k_part] = w;
+    }
     weight += w;
     t += w * (c.t - first.t);
     normal += w * n;
@@ -377,11 +382,22 @@ void blend(ClosestQuery& q, Hit& hit) {
   hit.t = first.t + t / weight;
   hit.normal = normal.normalized();
   hit.back = back / weight;
+  if (!parts) return;
+  float kept = 0;
+  for (int i = 0; i < parts->count; ++i) kept += parts->weight[static_cast<std::size_t>(i)];
+  for (int i = 0; i < parts->count; ++i) parts->weight[static_cast<std::size_t>(i)] /= kept;
 }
 
 }  // namespace
 
-bool Tracer::closest(const Ray& ray, Hit& hit) const {
+bool Tracer::closest(const Ray& ray, Hit& hit) const { return find(ray, hit, nullptr); }
+
+bool Tracer::closest(const Ray& ray, Hit& hit, HitBlend& parts) const {
+  parts.count = 0;
+  return find(ray, hit, &parts);
+}
+
+bool Tracer::find(const Ray& ray, Hit& hit, HitBlend* parts) const {
   ClosestQuery query;
   init_context(&query.context);
   query.origin = ray.origin;
@@ -399,7 +415,7 @@ bool Tracer::closest(const Ray& ray, Hit& hit) const {
   rtcIntersect1(impl_->scene.get(), &query.context, &rh);
 #endif
   if (query.count == 0) return false;
-  blend(query, hit);
+  blend(query, hit, parts);
   return true;
 }
 

@@ -3,6 +3,7 @@
 /// Points of a scan are noisy and their discs overlap, so a ray does not take the first disc but the blend of all discs that it meets within
 /// a slab behind the first one: position and normal are smooth, and do not depend on the order in which Embree visits blocks.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -27,6 +28,14 @@ struct Hit {
   float radius = 0;        ///< of the surfel nearest to the ray
   SurfelId surfel;         ///< the surfel whose centre is nearest to the ray, in units of its radius
   float back = 0;          ///< share of the blend weight on oriented surfels that were hit from behind, 0..1
+};
+
+/// The surfels that a hit blends, with weights that sum to 1; the first kMost along the ray.
+struct HitBlend {
+  static constexpr int kMost = 16;
+  int count = 0;
+  std::array<SurfelId, kMost> surfel;
+  std::array<float, kMost> weight{};
 };
 
 /// How shadow and gather rays leave a surface: they start `lift` radii above it, and what they meet within `skip` radii of the start is the surface itself.
@@ -58,11 +67,14 @@ class Tracer {
 
   /// Nearest surface along the ray; false if there is none.
   bool closest(const Ray& ray, Hit& hit) const;
+  /// The same, and what was blended: for reading colour smoothly.
+  bool closest(const Ray& ray, Hit& hit, HitBlend& blend) const;
   /// True if something lies between t_min and t_max. What belongs to the starting surface (origin_normal, radius) is not counted.
   bool occluded(const Ray& ray) const;
 
  private:
   struct Impl;
+  bool find(const Ray& ray, Hit& hit, HitBlend* blend) const;
   std::unique_ptr<Impl> impl_;
 };
 

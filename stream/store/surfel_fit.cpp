@@ -26,6 +26,11 @@ Lanes all(float v) { return Lanes{v, v, v, v}; }
 Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
 Lanes larger(Lanes a, Lanes b) { return a < b ? b : a; }
 
+bool any(LaneMask m) {
+  const auto halves = std::bit_cast<std::array<std::uint64_t, 2>>(m);
+  return (halves[0] | halves[1]) != 0;
+}
+
 struct FourPoints {
   Lanes x, y, z;
 };
@@ -243,6 +248,43 @@ struct NormalAnswer {
   double variance_off_plane = 0;   ///< with the plane's three degrees of freedom taken off
 };
 
+/// Eigenvalues of a symmetric matrix of trace 1 that has none below zero, smallest first, and the axis of the smallest.
+struct Principal {
+  Vec3d values;
+  Vec3d axis;
+};
+
+// The smallest root of the characteristic polynomial by Newton's method: the polynomial rises and is concave up to it, so steps from 0 never pass it.
+// Much faster than a general solver; where two roots fall together the axis is not defined well and the general solver decides.
+Principal principal_of(const Mat3d& a) {
+  const double c1 = a(0, 0) * a(1, 1) - a(0, 1) * a(0, 1) + a(0, 0) * a(2, 2) - a(0, 2) * a(0, 2) + a(1, 1) * a(2, 2) - a(1, 2) * a(1, 2);
+  const double c0 = a.determinant();
+  double root = 0;
+  for (int i = 0; i < 30; ++i) {
+    const double slope = c1 + root * (3 * root - 2);
+    if (!(slope > 1e-12)) break;
+    const double step = (c0 - root * (c1 + root * (root - 1))) / slope;
+    root += step;
+    if (!(step > 1e-15)) break;
+  }
+  Principal p;
+  p.values[0] = std::max(0.0, root);
+  const double sum = 1 - root, product = std::max(0.0, c1 - root * sum);
+  p.values[2] = 0.5 * (sum + std::sqrt(std::max(0.0, sum * sum - 4 * product)));
+  p.values[1] = product / p.values[2];
+  Mat3d b = a;
+  for (int i = 0; i < 3; ++i) b(i, i) -= root;
+  const Vec3d crosses[3] = {b.col(0).cross(b.col(1)), b.col(0).cross(b.col(2)), b.col(1).cross(b.col(2))};
+  const double norms[3] = {crosses[0].squaredNorm(), crosses[1].squaredNorm(), crosses[2].squaredNorm()};
+  const std::size_t best = norms[0] >= norms[1] ? (norms[0] >= norms[2] ? 0 : 2) : (norms[1] >= norms[2] ? 1 : 2);
+  if (norms[best] > 1e-14) {
+    p.axis = crosses[best] / std::sqrt(norms[best]);
+    return p;
+  }
+  Eigen::SelfAdjointEigenSolver<Mat3d> solver(a);
+  return {solver.eigenvalues(), solver.eigenvectors().col(0)};
+}
+
 NormalAnswer normal_from(const Moments& sums) {
   NormalAnswer answer;
   const double n = sums[9];
@@ -261,16 +303,14 @@ NormalAnswer normal_from(const Moments& sums) {
     answer.fit.isolated = true;
     return answer;
   }
-  Eigen::SelfAdjointEigenSolver<Mat3d> solver;
-  solver.computeDirect(covariance / scale);
-  const Vec3d values = solver.eigenvalues();
+  const auto [values, normal] = principal_of(covariance / scale);
   answer.line = values[1] < 0.01 * values[2];
   if (values[1] < 1e-4 * values[2]) {
     answer.fit.isolated = true;
+    Eigen::SelfAdjointEigenSolver<Mat3d> solver(covariance / scale);
     answer.fit.normal = across(solver.eigenvectors().col(2).cast<float>());
     return answer;
   }
-  const Vec3d normal = solver.eigenvectors().col(0);
   answer.variance_off_plane = std::max(0.0, values[0]) * scale * (n + 1) / std::max(1.0, n - 2);
   const double outwards = -normal.dot(Vec3d(m[0], m[1], m[2]));
   const bool flip = std::abs(outwards) > 1e-9 * std::sqrt(scale) ? outwards < 0 : normal.z() < 0;
@@ -306,9 +346,9 @@ class NormalFitter {
   NormalFitter(const FitOptions& options, std::vector<NormalFit>& fits) : options_(options), fits_(fits) {}
 
   void fit_four(std::uint32_t first, const FourPoints& p, const Nearest&, const Candidates& c, std::array<float, kLanes>& wanted) {
-    Lanes limit[kScales] = {all(0), all(0), all(0)};
-    for (std::size_t s = 0; s < kScales; ++s)
-      for (std::uint32_t lane = 0; lane < kLanes; ++lane) limit[s][lane] = wanted[lane] * wanted[lane] * kScaleOfRadius[s] * kScaleOfRadius[s];
+    const Lanes radius{wanted[0], wanted[1], wanted[2], wanted[3]};
+    Lanes limit[kScales];
+    for (std::size_t s = 0; s < kScales; ++s) limit[s] = radius * radius * all(kScaleOfRadius[s] * kScaleOfRadius[s]);
     Lanes sums[kScales][10];
     for (auto& scale : sums)
       for (Lanes& s : scale) s = all(0);
@@ -320,6 +360,7 @@ class NormalFitter {
       const Lanes d = terms[3] + terms[6] + terms[8];
       for (std::size_t s = 0; s < kScales; ++s) {
         const LaneMask inside = (d <= limit[s]) & (d > zero);
+        if (!any(inside)) break;  // nor is it within the narrower radii
         for (std::size_t t = 0; t < 10; ++t) sums[s][t] += inside ? terms[t] : zero;
       }
     }
@@ -369,6 +410,11 @@ class TangentCell {
   float farthest_squared() const { return farthest_squared_; }
   bool bounded() const { return bounded_; }
   float farthest_bounded_squared() const { return farthest_bounded_squared_; }
+  /// Calls visit(x, y) for each corner of the cell.
+  template <class Visit>
+  void for_corners(const Visit& visit) const {
+    for (int i = 0; i < size_; ++i) visit(corners_[now_][static_cast<std::size_t>(i)].x, corners_[now_][static_cast<std::size_t>(i)].y);
+  }
 
   // Would clip() change anything?
   bool cuts(float u, float v, float distance) const {
@@ -495,19 +541,6 @@ class RadiusFitter {
     return true;
   }
 
-  float fit(std::uint32_t i, const NeighbourList& list, const Candidates& c) const {
-    const float mean = mean_distance(list.nearest_squared);
-    if (list.size() == 0) return options_.lone_radius;
-    if (list.size() < 3 || (own_.flags[i] & SurfelBlock::kIsolated)) return std::min(mean, options_.lone_radius);
-    // Along scan lines the nearest are much closer than the next line: the search radius knows.
-    const float scale = std::max(mean, list.radius < options_.max_radius ? list.radius / static_cast<float>(options_.radius_spacings) : 0.0f);
-    const Face face{decode_normal(own_.normal[i][0], own_.normal[i][1]), (own_.flags[i] & SurfelBlock::kOriented) != 0};
-    TangentCell cell = cell_of(face, list, c, scale, false);
-    if (!cell.bounded() && few_on_face(face, list, c)) cell = cell_of(face, list, c, scale, true);
-    if (cell.bounded()) return std::min(1.1f * std::sqrt(cell.farthest_squared()), 3 * scale);
-    return std::clamp(1.1f * std::sqrt(cell.farthest_bounded_squared()), 0.75f * scale, 1.0f * scale);
-  }
-
   struct Face {
     Vec3f normal;
     bool oriented;
@@ -519,6 +552,37 @@ class RadiusFitter {
       return (oriented && (c.flags[j] & SurfelBlock::kOriented) ? cosine : std::abs(cosine)) >= 0.5f;
     }
   };
+
+  float fit(std::uint32_t i, const NeighbourList& list, const Candidates& c) const {
+    const float mean = mean_distance(list.nearest_squared);
+    if (list.size() == 0) return options_.lone_radius;
+    if (list.size() < 3 || (own_.flags[i] & SurfelBlock::kIsolated)) return std::min(mean, options_.lone_radius);
+    // Along scan lines the nearest are much closer than the next line: the search radius knows.
+    const float scale = std::max(mean, list.radius < options_.max_radius ? list.radius / static_cast<float>(options_.radius_spacings) : 0.0f);
+    const Face face{decode_normal(own_.normal[i][0], own_.normal[i][1]), (own_.flags[i] & SurfelBlock::kOriented) != 0};
+    TangentCell cell = cell_of(face, list, c, scale, false);
+    if (!cell.bounded() && few_on_face(face, list, c)) cell = cell_of(face, list, c, scale, true);
+    float within = 0;   // the farthest corner that lies inside the surface
+    bool open = false;
+    cell.for_corners([&](float x, float y) {
+      const float d = std::sqrt(x * x + y * y);
+      if (d <= scale || is_inside(face, list, x / d, y / d, d)) within = std::max(within, d);
+      else open = true;
+    });
+    if (!open) return std::min(1.1f * within, 3 * scale);
+    return std::clamp(1.1f * within, 0.75f * scale, std::max(1.1f * within, scale));
+  }
+
+  // A corner of the cell is inside the surface if points lie beyond it. On a border the half-way lines of the outermost points meet far outside, where
+  // nothing is left to cover.
+  static bool is_inside(const Face& face, const NeighbourList& list, float x, float y, float distance) {
+    const Vec3f u = across(face.normal), v = face.normal.cross(u);
+    for (std::size_t k = 0; k < list.size(); ++k) {
+      const float tu = u.dot(list.offset(k)), tv = v.dot(list.offset(k));
+      if (tu * x + tv * y >= distance && std::fabs(tv * x - tu * y) <= distance) return true;
+    }
+    return false;
+  }
 
   static bool few_on_face(const Face& face, const NeighbourList& list, const Candidates& c) {
     int on_face = 0;

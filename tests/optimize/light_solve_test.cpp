@@ -1,0 +1,150 @@
+#include "optimize/light_solve.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "stream/base/error.h"
+#include "stream/base/parallel.h"
+#include "stream/base/rng.h"
+
+namespace chiaro::optimize {
+namespace {
+
+struct Truth {
+  double flash = 12, ambient = 0.2, bounce = 1, noise = 0;
+  double gathered = 0.4;   ///< size of G; 0 = convex
+};
+
+/// Surfels seen by three photographs from different distances.
+std::vector<LightSample> make_samples(const Truth& truth, std::size_t count) {
+  std::vector<LightSample> samples;
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto a = uniform01x4(2, Purpose::kTest, i, 0);
+    const float v = 3.14159265f * (0.4f + 0.6f * a[3]);
+    for (std::uint32_t k = 0; k < 3; ++k) {
+      const auto u = uniform01x4(2, Purpose::kTest, i, 1 + k);
+      LightSample s;
+      s.group = static_cast<std::uint32_t>(i);
+      s.flash = (0.3f + 0.7f * u[0]) / static_cast<float>((1.0 + k) * (1.0 + k));
+      s.sky[0] = v;
+      for (std::size_t c = 0; c < 3; ++c) {
+        s.gathered[c] = static_cast<float>(truth.gathered) * (0.2f + u[1 + c % 3]);
+        const double h = truth.flash * static_cast<double>(s.flash) + truth.ambient * static_cast<double>(v) + truth.bounce * static_cast<double>(s.gathered[c]);
+        const double rho = 0.2 + 0.6 * static_cast<double>(a[c]);
+        s.radiosity[c] = static_cast<float>(rho * h * std::exp(truth.noise * normal01(3, Purpose::kTest, 100 * i + k, static_cast<std::uint32_t>(c))));
+      }
+      samples.push_back(s);
+    }
+  }
+  return samples;
+}
+
+Lights start(double flash, double ambient) {
+  Lights x;
+  x.flash_intensity = flash;
+  x.sky[0] = ambient;
+  return x;
+}
+
+TEST(LightSolve, FindsTheLightsFromAnyStartWhereBouncesFixTheScale) {
+  const auto samples = make_samples({}, 600);
+  LightSolveOptions options;
+  options.bounce_sd = 0;
+  for (const double factor : {0.6, 1.0, 1.6}) {
+    const LightSolution s = solve_lights(samples, {}, options, start(12 * factor, 0.05));
+    EXPECT_NEAR(s.lights.flash_intensity, 12, 0.01) << factor;
+    EXPECT_NEAR(s.lights.sky[0], 0.2, 0.001) << factor;
+    EXPECT_TRUE(s.converged);
+  }
+}
+
+TEST(LightSolve, AConvexBodyGivesTheRatioAndThePriorTheScale) {
+  Truth truth;
+  truth.gathered = 0;
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(13.0);
+  options.flash_ln_sd = 0.05;
+  const LightSolution s = solve_lights(make_samples(truth, 400), {}, options, start(9, 0.5));
+  EXPECT_NEAR(s.lights.sky[0] / s.lights.flash_intensity, 0.2 / 12, 1e-4);
+  EXPECT_NEAR(s.lights.flash_intensity, 13, 0.02);
+  EXPECT_NEAR(std::sqrt(s.covariance(0, 0)), 0.05, 0.005);   // the data say nothing about the scale
+}
+
+TEST(LightSolve, AReferenceFixesTheScale) {
+  Truth truth;
+  truth.gathered = 0;
+  const auto samples = make_samples(truth, 400);
+  ReferenceSample reference;
+  reference.sample = samples[0];
+  for (std::size_t c = 0; c < 3; ++c) {
+    const double h = truth.flash * static_cast<double>(samples[0].flash) + truth.ambient * static_cast<double>(samples[0].sky[0]);
+    reference.albedo[c] = static_cast<double>(samples[0].radiosity[c]) / h;
+  }
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(14.0);
+  options.flash_ln_sd = 0.1;
+  const LightSolution s = solve_lights(samples, {&reference, 1}, options, start(14, 0.1));
+  EXPECT_NEAR(s.lights.flash_intensity, 12, 0.12);
+  EXPECT_LT(std::sqrt(s.covariance(0, 0)), 0.02);
+}
+
+TEST(LightSolve, StandsOutliers) {
+  Truth truth;
+  truth.noise = 0.01;
+  auto samples = make_samples(truth, 1500);
+  for (std::size_t i = 0; i < samples.size(); i += 10)
+    for (float& b : samples[i].radiosity) b *= 3;   // a highlight in every tenth
+  LightSolveOptions options;
+  options.bounce_sd = 0;
+  const LightSolution s = solve_lights(samples, {}, options, start(20, 0));
+  EXPECT_NEAR(s.lights.flash_intensity / 12, 1, 0.03);
+  EXPECT_NEAR(s.lights.sky[0] / 0.2, 1, 0.05);
+}
+
+TEST(LightSolve, ItsUncertaintyCoversItsError) {
+  double squares = 0;
+  constexpr int kTrials = 12;
+  for (int trial = 0; trial < kTrials; ++trial) {
+    Truth truth;
+    truth.noise = 0.02;
+    auto samples = make_samples(truth, 300);
+    for (std::size_t i = 0; i < samples.size(); ++i)
+      for (std::size_t c = 0; c < 3; ++c)
+        samples[i].radiosity[c] *= std::exp(0.02f * static_cast<float>(normal01(50 + static_cast<std::uint64_t>(trial), Purpose::kTest, i, static_cast<std::uint32_t>(c))));
+    LightSolveOptions options;
+    options.bounce_sd = 0;
+    const LightSolution s = solve_lights(samples, {}, options, start(12, 0.1));
+    squares += std::pow(std::log(s.lights.flash_intensity / 12), 2) / s.covariance(0, 0);
+  }
+  const double z = std::sqrt(squares / kTrials);
+  EXPECT_GT(z, 0.4);
+  EXPECT_LT(z, 1.9);   // chi-square of 12 trials, with the robust weights' approximation
+}
+
+TEST(LightSolve, TheSkyIsNeverDarkerThanBlack) {
+  Truth truth;
+  truth.ambient = 0;
+  truth.noise = 0.01;
+  LightSolveOptions options;
+  options.bounce_sd = 0;
+  const LightSolution s = solve_lights(make_samples(truth, 500), {}, options, start(10, 0.3));
+  EXPECT_GE(s.lights.sky[0], 0);
+  EXPECT_LT(s.lights.sky[0], 0.01);
+}
+
+TEST(LightSolve, SaysWhenThereIsNothingToSolveFrom) {
+  EXPECT_THROW(solve_lights({}, {}, {}, start(1, 0)), Error);
+}
+
+TEST(LightSolve, IsTheSameForAnyThreads) {
+  const auto samples = make_samples({}, 2000);
+  const auto solve = [&](int threads) {
+    const ThreadLimit limit(threads);
+    return solve_lights(samples, {}, {}, start(9, 0.1)).lights.flash_intensity;
+  };
+  EXPECT_EQ(solve(1), solve(8));
+}
+
+}  // namespace
+}  // namespace chiaro::optimize

@@ -1,0 +1,116 @@
+#include "surfels/gbuffer.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/base/parallel.h"
+#include "stream/photo/raster.h"
+#include "tests/support/sampled_surface.h"
+
+namespace chiaro::surfels {
+namespace {
+
+stream::Camera camera_above(double height, int width_px, int height_px, double focal_px) {
+  stream::Camera c;
+  c.photograph = "test";
+  c.lens.width_px = width_px;
+  c.lens.height_px = height_px;
+  c.lens.fx = c.lens.fy = focal_px;
+  c.lens.cx = width_px / 2.0;
+  c.lens.cy = height_px / 2.0;
+  c.pose.rotation_camera_from_world << 1, 0, 0, 0, -1, 0, 0, 0, -1;   // looks down
+  c.pose.translation_camera_from_world = -c.pose.rotation_camera_from_world * Vec3d(0, 0, height);
+  return c;
+}
+
+class GBuffer : public ::testing::Test {
+ protected:
+  ScratchFolder folder;
+  MemoryBudget budget{256u << 20};
+};
+
+TEST_F(GBuffer, AgreesWithThePlaneInClosedForm) {
+  const stream::Store store = tests::build_test_store(tests::square_points(250, 4.0, {0, 0, 0}, {0, 0, 1}, 1), folder.path());
+  const stream::Camera camera = camera_above(2, 64, 48, 60);
+  GBufferOptions options;
+  options.flash_in_camera = Vec3d(0.3, -0.1, 0.05);
+  const GBufferStats stats = write_gbuffer(store, camera, options, folder.path() / "g.raster", budget, silent_reporter());
+  EXPECT_EQ(stats.pixels_hit, 64u * 48u);
+  const stream::RasterReader g(folder.path() / "g.raster");
+  const auto depth = g.all<float>("depth"), flash = g.all<float>("flash"), nz = g.all<float>("nz"), coverage = g.all<float>("coverage"), lit = g.all<float>("lit");
+  const Vec3d light = camera.pose.world_from_camera(*options.flash_in_camera);
+  for (int y = 0; y < 48; ++y)
+    for (int x = 0; x < 64; ++x) {
+      const std::size_t i = static_cast<std::size_t>(y) * 64 + static_cast<std::size_t>(x);
+      const Vec3d d = *stream::unproject(camera.lens, {x + 0.5, y + 0.5});
+      EXPECT_NEAR(depth[i], 2 / d.z(), 2e-3);            // mean over the pixel, not its middle
+      EXPECT_GT(nz[i], 0.9999f);
+      EXPECT_EQ(coverage[i], 1.0f);
+      EXPECT_EQ(lit[i], 1.0f);
+      const Vec3d p = camera.pose.world_from_camera(d * (2 / d.z()));
+      const double r = (light - p).norm(), expected = (light.z() / r) / (r * r);
+      EXPECT_NEAR(flash[i] / expected, 1, 2e-3);
+    }
+}
+
+TEST_F(GBuffer, IsTheSameForAnyThreadsAndTiles) {
+  const stream::Store store = tests::build_test_store(tests::square_points(500, 4.0, {0, 0, -1}, {0, 0, 1}, 1), folder.path(), 4096);
+  const stream::Camera camera = camera_above(2, 64, 192, 300);
+  GBufferOptions options;
+  options.flash_in_camera = Vec3d(0.1, 0.1, 0);
+  {
+    const ThreadLimit limit(1);
+    write_gbuffer(store, camera, options, folder.path() / "one.raster", budget, silent_reporter());
+  }
+  const GBufferStats whole = write_gbuffer(store, camera, options, folder.path() / "two.raster", budget, silent_reporter());
+  EXPECT_EQ(whole.tiles, 1);
+  const WorkingSet cut = select_visible(store, {camera.lens, camera.pose, {0, 0, 64, 192}, {camera.pose.world_from_camera(*options.flash_in_camera)}}, options.cut, budget, silent_reporter());
+  MemoryBudget small(cut.bytes);   // a fifth of it is kept free: the whole picture does not fit
+  const GBufferStats parts = write_gbuffer(store, camera, options, folder.path() / "tiles.raster", small, silent_reporter());
+  EXPECT_GT(parts.tiles, 1);
+  EXPECT_EQ(read_text(folder.path() / "one.raster"), read_text(folder.path() / "two.raster"));
+  EXPECT_EQ(read_text(folder.path() / "one.raster"), read_text(folder.path() / "tiles.raster"));
+}
+
+TEST_F(GBuffer, MarksDepthEdgesAndNotCreases) {
+  // A square floating above a larger one: an edge around it; nothing inside.
+  auto points = tests::square_points(250, 4.0, {0, 0, 0}, {0, 0, 1}, 1);
+  const auto tile = tests::square_points(80, 1.0, {0, 0, 0.5}, {0, 0, 1}, 2);
+  points.insert(points.end(), tile.begin(), tile.end());
+  const stream::Store store = tests::build_test_store(points, folder.path());
+  const stream::Camera camera = camera_above(3, 64, 64, 80);
+  write_gbuffer(store, camera, {}, folder.path() / "g.raster", budget, silent_reporter());
+  const auto edge = stream::RasterReader(folder.path() / "g.raster").all<float>("edge");
+  const int half = static_cast<int>(0.5 * 80 / 2.5);   // the tile's half width in pixels
+  EXPECT_LE(edge[32 * 64 + static_cast<std::size_t>(32 + half)], 1.5f);
+  EXPECT_NEAR(edge[32 * 64 + 32], half, 2);
+  EXPECT_GT(edge[32 * 64 + 32], 10);
+}
+
+TEST_F(GBuffer, SaysWhenTheBudgetCannotHoldOneBand) {
+  const stream::Store store = tests::build_test_store(tests::sphere_points(300000, 1.0, {0, 0, -1}, false), folder.path());
+  MemoryBudget small(300000);
+  EXPECT_THROW(write_gbuffer(store, camera_above(2, 96, 160, 90), {}, folder.path() / "g.raster", small, silent_reporter()), Error);
+  EXPECT_FALSE(std::filesystem::exists(folder.path() / "g.raster"));
+}
+
+TEST_F(GBuffer, CutsCoarserFromFartherAway) {
+  const stream::Store store = tests::build_test_store(tests::sphere_points(300000, 1.0, {0, 0, -1}, false), folder.path());
+  const auto surfels_seen = [&](double height) {
+    const stream::Camera c = camera_above(height, 96, 96, 90);
+    return select_visible(store, {c.lens, c.pose, {0, 0, 96, 96}, {}}, {}, budget, silent_reporter()).surfels;
+  };
+  EXPECT_GT(surfels_seen(1.0), 4 * surfels_seen(60));
+}
+
+TEST_F(GBuffer, LooksAtNothingBehindTheCamera) {
+  const stream::Store store = tests::build_test_store(tests::square_points(100, 1.0, {0, 0, 9}, {0, 0, -1}, 1), folder.path());
+  const GBufferStats stats = write_gbuffer(store, camera_above(2, 32, 32, 30), {}, folder.path() / "g.raster", budget, silent_reporter());
+  EXPECT_EQ(stats.pixels_hit, 0u);
+}
+
+}  // namespace
+}  // namespace chiaro::surfels

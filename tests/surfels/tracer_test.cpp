@@ -1,0 +1,154 @@
+#include "surfels/tracer.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/base/rng.h"
+#include "tests/support/sampled_surface.h"
+
+namespace chiaro::surfels {
+namespace {
+
+using tests::build_test_store;
+using tests::sphere_points;
+using tests::square_points;
+
+Tracer trace_all(const stream::Store& store, MemoryBudget& budget, const Vec3d& origin, bool reversed = false) {
+  Tracer tracer(origin, budget);
+  std::vector<std::uint32_t> leaves = store.leaves();
+  if (reversed) std::reverse(leaves.begin(), leaves.end());
+  for (const std::uint32_t leaf : leaves) tracer.add(store.read_chunk(leaf));
+  tracer.commit();
+  return tracer;
+}
+
+Vec3f random_direction(std::uint64_t i) {
+  const auto u = uniform01x4(3, Purpose::kTest, i, 0);
+  const float z = 2 * u[0] - 1, r = std::sqrt(1 - z * z), phi = 6.2831853f * u[1];
+  return {r * std::cos(phi), r * std::sin(phi), z};
+}
+
+TEST(Tracer, HitsAPlaneWhereItIs) {
+  const ScratchFolder folder;
+  const stream::Store store = build_test_store(square_points(120, 2.0, {5, 5, 3}, {0, 0, 1}, 1), folder.path());
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, {5, 5, 0});
+  for (std::uint64_t i = 0; i < 500; ++i) {
+    const auto u = uniform01x4(5, Purpose::kTest, i, 0);
+    const Vec3f target(1.6f * u[0] - 0.8f, 1.6f * u[1] - 0.8f, 3), from(2 * u[2] - 1, 2 * u[3] - 1, 6);
+    const Vec3f d = (target - from).normalized();
+    Hit hit;
+    ASSERT_TRUE(tracer.closest({from, d, 0, 1e30f}, hit));
+    EXPECT_NEAR(hit.t, (target - from).norm(), 2e-4f);   // positions are stored to 1/65536 of the cell
+    EXPECT_GT(hit.normal.z(), 0.9999f);
+  }
+}
+
+TEST(Tracer, LetsNoRayOutOfASphere) {
+  const ScratchFolder folder;
+  const stream::Store store = build_test_store(sphere_points(60000, 1.0, {0, 0, 0}, true), folder.path());
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, {0, 0, 0});
+  int misses = 0;
+  double worst = 0;
+  for (std::uint64_t i = 0; i < 20000; ++i) {
+    Hit hit;
+    if (!tracer.closest({{0.1f, -0.2f, 0.05f}, random_direction(i), 0, 1e30f}, hit)) {
+      ++misses;
+      continue;
+    }
+    const Vec3f p = Vec3f(0.1f, -0.2f, 0.05f) + random_direction(i) * hit.t;
+    worst = std::max(worst, std::fabs(static_cast<double>(p.norm()) - 1));
+  }
+  EXPECT_EQ(misses, 0);
+  EXPECT_LT(worst, 1e-3);   // sagitta of a disc of this radius is 1e-4
+}
+
+TEST(Tracer, DoesNotDependOnTheOrderOfChunks) {
+  const ScratchFolder folder;
+  const stream::Store store = build_test_store(sphere_points(200000, 1.0, {0, 0, 0}, false), folder.path());
+  ASSERT_GT(store.leaves().size(), 1u);
+  MemoryBudget budget(256u << 20);
+  const Tracer a = trace_all(store, budget, {0, 0, 0}), b = trace_all(store, budget, {0, 0, 0}, true);
+  for (std::uint64_t i = 0; i < 5000; ++i) {
+    const Vec3f d = random_direction(i);
+    Hit ha, hb;
+    const bool found = a.closest({-3 * d + random_direction(i + 77777) * 0.9f, d, 0, 1e30f}, ha);
+    ASSERT_EQ(found, b.closest({-3 * d + random_direction(i + 77777) * 0.9f, d, 0, 1e30f}, hb));
+    if (!found) continue;
+    EXPECT_EQ(ha.t, hb.t);
+    EXPECT_EQ(ha.normal, hb.normal);
+    EXPECT_EQ(ha.surfel, hb.surfel);
+  }
+}
+
+TEST(Tracer, BlendsWithWeightsThatSumToOne) {
+  const ScratchFolder folder;
+  const stream::Store store = build_test_store(square_points(60, 1.0, {0, 0, 0}, {0, 0, 1}, 2), folder.path());
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, {0, 0, 0});
+  Hit hit;
+  HitBlend blend;
+  ASSERT_TRUE(tracer.closest({{0.013f, 0.021f, 1}, {0, 0, -1}, 0, 1e30f}, hit, blend));
+  ASSERT_GE(blend.count, 1);
+  float sum = 0;
+  for (int i = 0; i < blend.count; ++i) sum += blend.weight[static_cast<std::size_t>(i)];
+  EXPECT_NEAR(sum, 1, 1e-6f);
+}
+
+TEST(Tracer, ASurfaceDoesNotShadowItself) {
+  const ScratchFolder folder;
+  const stream::Store store = build_test_store(square_points(150, 2.0, {0, 0, 0}, {0, 0, 1}, 3), folder.path());
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, {0, 0, 0});
+  int blocked = 0;
+  for (std::uint64_t i = 0; i < 5000; ++i) {
+    const auto u = uniform01x4(9, Purpose::kTest, i, 0);
+    const Vec3f from(1.6f * u[0] - 0.8f, 1.6f * u[1] - 0.8f, 1);
+    Hit hit;
+    ASSERT_TRUE(tracer.closest({from, {0, 0, -1}, 0, 1e30f}, hit));
+    const float elevation = 0.05f + 1.5f * u[2], phi = 6.2831853f * u[3];   // down to three degrees above the plane
+    const Vec3f d(std::cos(elevation) * std::cos(phi), std::cos(elevation) * std::sin(phi), std::sin(elevation));
+    blocked += tracer.occluded(escape_ray(from + Vec3f(0, 0, -hit.t), hit.normal, hit.radius, d, 1e30f));
+  }
+  EXPECT_EQ(blocked, 0);
+}
+
+TEST(Tracer, SeesWhatLiesBetween) {
+  const ScratchFolder folder;
+  auto points = square_points(80, 1.0, {0, 0, 0}, {0, 0, 1}, 4);
+  const auto roof = square_points(80, 1.0, {0, 0, 1}, {0, 0, -1}, 5);
+  points.insert(points.end(), roof.begin(), roof.end());
+  const stream::Store store = build_test_store(points, folder.path());
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, {0, 0, 0});
+  const Vec3f up(0, 0, 1);
+  EXPECT_TRUE(tracer.occluded(escape_ray({0.1f, 0.1f, 0}, up, 0.02f, up, 5)));
+  EXPECT_FALSE(tracer.occluded(escape_ray({0.1f, 0.1f, 0}, up, 0.02f, up, 0.9f))) << "the roof lies beyond the end of the ray";
+}
+
+TEST(Tracer, RefusesWhatTheBudgetDoesNotHold) {
+  const ScratchFolder folder;
+  const stream::Store store = build_test_store(sphere_points(60000, 1.0, {0, 0, 0}, false), folder.path());
+  MemoryBudget budget(500000);
+  EXPECT_THROW(trace_all(store, budget, {0, 0, 0}), Error);
+  EXPECT_LE(budget.peak_bytes(), 500000u);
+}
+
+TEST(Tracer, RaysFromFarKeepTheirPrecision) {
+  // A site in projected coordinates: five million metres from the origin.
+  const ScratchFolder folder;
+  const Vec3d site(400000, 5000000, 100);
+  const stream::Store store = build_test_store(square_points(80, 1.0, site, {0, 0, 1}, 6), folder.path());
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, site + Vec3d(0, 0, 1));
+  Hit hit;
+  ASSERT_TRUE(tracer.closest({tracer.scene_from_world(site + Vec3d(0.01, 0.02, 1)), {0, 0, -1}, 0, 1e30f}, hit));
+  EXPECT_NEAR(hit.t, 1, 1e-4f);
+}
+
+}  // namespace
+}  // namespace chiaro::surfels
