@@ -9,6 +9,7 @@
 #include "tools/console_report.h"
 #include "tools/pipeline.h"
 #include "tools/project.h"
+#include "tools/report.h"
 #include "tools/resources.h"
 #include "tools/run_folder.h"
 #include "tools/run_record.h"
@@ -23,7 +24,7 @@ void print_summary(Console& console, const RunRecord& record, const RunFolder& f
   }
   console.clear_line();
   for (const ExportInput& e : project.exports) console.out() << (folder.root / e.file).string() << "\n";
-  console.out() << folder.record().string() << "\n";
+  console.out() << (folder.report() / "index.html").string() << "\n" << folder.record().string() << "\n";
 }
 
 }  // namespace
@@ -64,6 +65,7 @@ int run_run(std::span<const std::string> words, Console& console) {
   }
   const int code = record.was_partial() ? 3 : 0;
   record.write(folder.record(), code);
+  write_report(folder, console.report());
   print_summary(console, record, folder, project, code);
   return code;
 }

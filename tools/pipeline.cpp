@@ -13,6 +13,7 @@
 #include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/base/hash.h"
+#include "stream/cloud/filtered.h"
 #include "stream/photo/camera_files.h"
 #include "stream/photo/develop.h"
 #include "stream/photo/image_io.h"
@@ -164,7 +165,8 @@ class Pipeline {
     record_.count("points_stored", m.points_stored);
     for (const auto& [reason, n] : m.points_rejected) {
       record_.count("points_rejected", n);
-      if (n > 0) record_.left_out("points", "cloud", reason, n);
+      // Outliers are left out because the project asks for it: counted, but nothing is missing.
+      if (n > 0 && reason != stream::OutlierMarks::kReason) record_.left_out("points", "cloud", reason, n);
     }
   }
 

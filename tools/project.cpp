@@ -126,7 +126,7 @@ const Words<SolveMethod>& words_of(SolveMethod) {
   return w;
 }
 const Words<AcquisitionRole>& words_of(AcquisitionRole) {
-  static const Words<AcquisitionRole> w{{"flash", AcquisitionRole::kFlash}, {"no-flash", AcquisitionRole::kNoFlash}};
+  static const Words<AcquisitionRole> w{{"flash", AcquisitionRole::kFlash}, {"no_flash", AcquisitionRole::kNoFlash}};
   return w;
 }
 

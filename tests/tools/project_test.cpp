@@ -51,7 +51,7 @@ model = "sh1"
 
 [[acquisition]]
 name        = "night"
-role        = "no-flash"
+role        = "no_flash"
 photographs = ["photos/photo_1.exr"]
 cameras     = "sparse"
 
