@@ -165,24 +165,28 @@ LogHistogram radiance_histogram(ReportPhoto& photo) {
 
 namespace {
 
-/// True for pixels whose neighbours within the halo are all set: those that ssim() averages over. Rows [kHalo, rows - kHalo) only.
-std::uint64_t count_eroded(const std::vector<std::uint8_t>& mask, int width, int rows) {
-  std::vector<int> run(mask.size());   // set pixels in the window along the row
-  for (int y = 0; y < rows; ++y) {
-    const auto* row = &mask[static_cast<std::size_t>(y) * static_cast<std::size_t>(width)];
-    int sum = 0;
-    for (int x = 0; x < width; ++x) {
-      sum += row[x];
-      if (x >= 2 * kHalo + 1) sum -= row[x - 2 * kHalo - 1];
-      if (x >= 2 * kHalo) run[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x - kHalo)] = sum == 2 * kHalo + 1;
+/// How many pixels ssim() averages over: those that keep kHalo pixels from the border and have no unset pixel within that distance.
+std::uint64_t count_inside(const std::vector<std::uint8_t>& mask, int width, int rows) {
+  const auto w = static_cast<std::size_t>(width);
+  std::vector<int> reach(mask.size());   // set pixels to either side in the row, -1 where the pixel itself is unset
+  for (std::size_t y = 0; y < static_cast<std::size_t>(rows); ++y) {
+    int run = -1;
+    for (std::size_t x = 0; x < w; ++x) reach[y * w + x] = run = mask[y * w + x] ? run + 1 : -1;
+    run = -1;
+    for (std::size_t x = w; x-- > 0;) {
+      run = mask[y * w + x] ? run + 1 : -1;
+      reach[y * w + x] = std::min(reach[y * w + x], run);
     }
   }
+  int half_width[2 * kHalo + 1];   // of the disc in its rows
+  for (int dy = -kHalo; dy <= kHalo; ++dy) half_width[dy + kHalo] = static_cast<int>(std::sqrt(static_cast<double>(kHalo * kHalo - dy * dy)));
   std::uint64_t count = 0;
-  std::vector<int> column(static_cast<std::size_t>(width));
-  for (int y = 0; y < rows; ++y)
-    for (std::size_t x = 0; x < column.size(); ++x) {
-      column[x] = run[static_cast<std::size_t>(y) * column.size() + x] ? column[x] + 1 : 0;
-      count += column[x] >= 2 * kHalo + 1;
+  for (int y = kHalo; y < rows - kHalo; ++y)
+    for (int x = kHalo; x < width - kHalo; ++x) {
+      bool inside = true;
+      for (int dy = -kHalo; inside && dy <= kHalo; ++dy)
+        inside = reach[static_cast<std::size_t>(y + dy) * w + static_cast<std::size_t>(x)] >= half_width[dy + kHalo];
+      count += inside;
     }
   return count;
 }
@@ -222,7 +226,7 @@ void add_likeness(const ReportPhoto::Band& band, int width, int first, int last,
   for (auto* values : {&test, &reference})
     for (float& v : *values) v = static_cast<float>(stream::srgb_from_linear(v));
   if (used > 0) sums.squares_srgb += mse(view(test, 3), view(reference, 3), mask) * static_cast<double>(used);
-  const std::uint64_t inner = count_eroded(band.predicted, width, band.rows);
+  const std::uint64_t inner = count_inside(band.predicted, width, band.rows);
   if (inner == 0) return;
   const std::vector<float> a = encoded_luminance(test), b = encoded_luminance(reference);
   sums.ssim += ssim(view(a, 1), view(b, 1), band.predicted) * static_cast<double>(inner);
