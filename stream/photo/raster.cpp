@@ -1,6 +1,8 @@
 #include "stream/photo/raster.h"
 
 #include <algorithm>
+#include <array>
+#include <atomic>
 #include <cstring>
 
 #include "stream/base/error.h"
@@ -51,16 +53,24 @@ struct Layout {
   std::uint64_t row_bytes(std::size_t plane) const { return static_cast<std::uint64_t>(width) * plane_type_bytes(planes[plane].type); }
 };
 
+/// Of one plane and band, as the file holds it now.
+std::uint32_t band_crc(const File& file, const Layout& layout, std::size_t plane, std::size_t band) {
+  const int y0 = static_cast<int>(band) * kCrcRows, rows = std::min(kCrcRows, layout.height - y0);
+  std::uint64_t at = layout.offsets[plane] + layout.row_bytes(plane) * static_cast<std::uint64_t>(y0);
+  const std::uint64_t end = at + layout.row_bytes(plane) * static_cast<std::uint64_t>(rows);
+  std::array<std::byte, 65536> piece;
+  std::uint32_t crc = 0;
+  for (; at < end; at += piece.size()) {
+    const auto bytes = static_cast<std::size_t>(std::min<std::uint64_t>(piece.size(), end - at));
+    file.read_at(at, piece.data(), bytes);
+    crc = crc32c(piece.data(), bytes, crc);
+  }
+  return crc;
+}
+
 std::vector<std::uint32_t> band_crcs(const File& file, const Layout& layout) {
   std::vector<std::uint32_t> crcs(layout.planes.size() * layout.num_bands());
-  std::vector<std::byte> band;
-  for (std::size_t p = 0; p < layout.planes.size(); ++p)
-    for (std::size_t b = 0; b < layout.num_bands(); ++b) {
-      const int y0 = static_cast<int>(b) * kCrcRows, rows = std::min(kCrcRows, layout.height - y0);
-      band.resize(layout.row_bytes(p) * static_cast<std::uint64_t>(rows));
-      file.read_at(layout.offsets[p] + layout.row_bytes(p) * static_cast<std::uint64_t>(y0), band.data(), band.size());
-      crcs[p * layout.num_bands() + b] = crc32c(band);
-    }
+  for (std::size_t i = 0; i < crcs.size(); ++i) crcs[i] = band_crc(file, layout, i / layout.num_bands(), i % layout.num_bands());
   return crcs;
 }
 
@@ -141,6 +151,16 @@ void RasterWriter::commit() {
 struct RasterReader::Impl {
   File file;
   Layout layout;
+  std::vector<std::uint32_t> crcs;             ///< as stored
+  std::vector<std::atomic<bool>> checked;      ///< one a plane and band; two threads may both check a band, to the same end
+
+  void check(std::size_t i) {
+    if (checked[i].load(std::memory_order_relaxed)) return;
+    const std::size_t plane = i / layout.num_bands(), band = i % layout.num_bands();
+    if (band_crc(file, layout, plane, band) != crcs[i])
+      throw Error(concat(file.path().string(), ": checksum of plane \"", layout.planes[plane].name, "\", rows from ", band * kCrcRows, " is wrong"));
+    checked[i].store(true, std::memory_order_relaxed);
+  }
 };
 
 RasterReader::RasterReader(const std::filesystem::path& path) : impl_(std::make_unique<Impl>()) {
@@ -165,6 +185,9 @@ RasterReader::RasterReader(const std::filesystem::path& path) : impl_(std::make_
   layout.place();
   if (impl_->file.size() != layout.end)
     throw Error(concat(path.string(), ": ", impl_->file.size(), " bytes, expected ", layout.end, " from its header"));
+  impl_->crcs.resize(layout.planes.size() * layout.num_bands());
+  impl_->file.read_at(layout.crc_offset, impl_->crcs.data(), impl_->crcs.size() * sizeof impl_->crcs[0]);
+  impl_->checked = std::vector<std::atomic<bool>>(impl_->crcs.size());
 }
 
 RasterReader::RasterReader(RasterReader&&) noexcept = default;
@@ -182,17 +205,16 @@ void RasterReader::read_rows(std::string_view plane, int y0, int rows, std::span
   const std::size_t i = layout.index(plane, impl_->file.path());
   if (y0 < 0 || rows < 0 || y0 + rows > layout.height || bytes.size() != layout.row_bytes(i) * static_cast<std::uint64_t>(rows))
     throw std::invalid_argument("RasterReader::read_rows: rows outside the image, or wrong type");
+  if (rows == 0) return;
+  for (int band = y0 / kCrcRows; band <= (y0 + rows - 1) / kCrcRows; ++band) impl_->check(i * layout.num_bands() + static_cast<std::size_t>(band));
   impl_->file.read_at(layout.offsets[i] + layout.row_bytes(i) * static_cast<std::uint64_t>(y0), bytes.data(), bytes.size());
 }
 
 void RasterReader::verify() const {
-  const auto found = band_crcs(impl_->file, impl_->layout);
-  std::vector<std::uint32_t> stored(found.size());
-  impl_->file.read_at(impl_->layout.crc_offset, stored.data(), stored.size() * sizeof stored[0]);
-  for (std::size_t i = 0; i < found.size(); ++i)
-    if (found[i] != stored[i])
-      throw Error(concat(impl_->file.path().string(), ": checksum of plane \"", planes()[i / impl_->layout.num_bands()].name, "\", rows from ",
-                         i % impl_->layout.num_bands() * kCrcRows, " is wrong"));
+  for (std::size_t i = 0; i < impl_->crcs.size(); ++i) {
+    impl_->checked[i] = false;
+    impl_->check(i);
+  }
 }
 
 }  // namespace chiaro::stream

@@ -65,7 +65,7 @@ class RasterReader {
   int height() const;
   const std::vector<PlaneInfo>& planes() const;
   bool has(std::string_view plane) const;
-  /// Reads rows [y0, y0 + rows); thread-safe.
+  /// Reads rows [y0, y0 + rows); thread-safe. The first read of a band compares its checksum: throws Error naming plane and rows.
   void read_rows(std::string_view plane, int y0, int rows, std::span<std::byte> bytes) const;
   template <class T>
   std::vector<T> rows(std::string_view plane, int y0, int num_rows) const {
