@@ -6,6 +6,7 @@
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/base/hash.h"
 
 namespace chiaro::tools {
 using Json = nlohmann::ordered_json;
@@ -19,11 +20,18 @@ std::filesystem::path TaskLog::marker(const std::string& name) const {
 }
 
 namespace {
+/// Of the marker without its member "check": later tasks compute with the numbers in "info", so a flipped digit must not pass.
+std::string check_of(const Json& marker) { return Hasher().add(marker.dump(-1, ' ', false, Json::error_handler_t::replace)).hex(); }
+
 /// The marker's content, or null where there is none or it is damaged (then the task simply runs again).
 Json read_marker(const std::filesystem::path& path) {
   std::error_code code;
   if (!std::filesystem::exists(path, code)) return nullptr;
-  return Json::parse(read_text(path), nullptr, false);
+  Json marker = Json::parse(read_text(path), nullptr, false);
+  if (!marker.is_object() || !marker.contains("check")) return nullptr;
+  const Json check = marker["check"];
+  marker.erase("check");
+  return check == check_of(marker) ? marker : Json(nullptr);
 }
 bool matches(const Json& marker, const std::string& key, const std::vector<std::filesystem::path>& outputs) {
   if (!marker.is_object() || !marker.contains("key") || marker["key"] != key) return false;
@@ -53,6 +61,7 @@ TaskOutcome TaskLog::run(const std::string& name, const std::string& key, const 
   outcome.info_json = body();
   outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   Json out{{"task", name}, {"key", key}, {"seconds", outcome.seconds}, {"info", Json::parse(outcome.info_json)}};
+  out["check"] = check_of(out);
   write_text(marker(name), out.dump(1) + "\n");
   return outcome;
 }
