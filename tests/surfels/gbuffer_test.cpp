@@ -106,6 +106,26 @@ TEST_F(GBuffer, CutsCoarserFromFartherAway) {
   EXPECT_GT(surfels_seen(1.0), 4 * surfels_seen(60));
 }
 
+TEST_F(GBuffer, LeavesOutWhatIsHiddenAndChangesNoPixel) {
+  // Five walls behind each other, each larger than the picture: the first hides the others.
+  std::vector<tests::SampledPoint> points;
+  for (int wall = 0; wall < 5; ++wall) {
+    const auto more = tests::square_points(200, 3.0, {0, 0, -1.0 * wall}, {0, 0, 1}, static_cast<std::uint64_t>(wall) + 1);
+    points.insert(points.end(), more.begin(), more.end());
+  }
+  const stream::Store store = tests::build_test_store(points, folder.path(), 2048);
+  const stream::Camera camera = camera_above(1, 64, 64, 80);
+  GBufferOptions options;
+  options.flash_in_camera = Vec3d(0.1, 0.05, 0);
+  options.cut.pixel_error = 0.3;
+  const GBufferStats culled = write_gbuffer(store, camera, options, folder.path() / "culled.raster", budget, silent_reporter());
+  options.cut.cull_hidden = false;
+  const GBufferStats all = write_gbuffer(store, camera, options, folder.path() / "all.raster", budget, silent_reporter());
+  EXPECT_GT(culled.chunks_hidden, 0u);
+  EXPECT_LT(2 * culled.chunks, all.chunks);
+  EXPECT_EQ(read_text(folder.path() / "culled.raster"), read_text(folder.path() / "all.raster"));
+}
+
 TEST_F(GBuffer, LooksAtNothingBehindTheCamera) {
   const stream::Store store = tests::build_test_store(tests::square_points(100, 1.0, {0, 0, 9}, {0, 0, -1}, 1), folder.path());
   const GBufferStats stats = write_gbuffer(store, camera_above(2, 32, 32, 30), {}, folder.path() / "g.raster", budget, silent_reporter());
