@@ -14,8 +14,9 @@ namespace {
 
 // What is further than this many typical spacings is no neighbour, so that outliers stay alone.
 constexpr double kReachSpacings = 256;
-// Radii need the ring of nearest neighbours only: some 25 points on a surface.
-constexpr double kRadiusSpacings = 2.8;
+// Radii need the points beyond the corners of a Voronoi cell, to tell a gap in the sampling from a border. Measured on random samples of a sphere and a
+// square: 2.8 leaves 2 rays in 10 000 without a disc, 3.4 none in 100 000; discs reach 0.6 spacings over the border in both.
+constexpr double kRadiusSpacings = 3.4;
 
 std::vector<SurfelBlock> read_blocks(const FitJob& job, std::uint32_t chunk) {
   const ChunkEntry& e = job.entries[chunk];
