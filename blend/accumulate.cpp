@@ -47,6 +47,7 @@ void add_sample(Accumulator& sum, const Sample& sample, float high_band_power) {
     sum.high[c] += high * static_cast<double>(sample.high[c]);
   }
   sum.low_variance += (low * sample.sigma) * (low * sample.sigma);
+  sum.shared += low * sample.shared;
   sum.high_variance += high_deviation * high_deviation;
   ++sum.photographs;
 }
@@ -59,8 +60,8 @@ BlendedSurfel resolve(const Accumulator& sum, float shared_sigma) {
   // Slow errors average with the low band's weights, pixel noise with the high band's; the larger one speaks.
   const float low = std::sqrt(sum.low_variance) / sum.low_weight;
   const auto high = static_cast<float>(sum.high_weight > 0 ? std::sqrt(sum.high_variance) / sum.high_weight : 0);
-  const float independent = std::max(low, high);
-  result.sigma = std::sqrt(independent * independent + shared_sigma * shared_sigma);
+  const float independent = std::max(low, high), shared = sum.shared / sum.low_weight;   // shared errors add by amplitude: they do not average out
+  result.sigma = std::sqrt(independent * independent + shared * shared + shared_sigma * shared_sigma);
   result.photographs = static_cast<std::uint16_t>(std::min<std::uint32_t>(sum.photographs, 65535));
   return result;
 }

@@ -21,9 +21,11 @@ struct Accumulator {
   double high_variance = 0;                      ///< sum of (w^p sigma)^2
   float low_weight = 0, low[3] = {0, 0, 0};      ///< sum of w, w * low band
   float low_variance = 0;                        ///< sum of (w sigma)^2
+  float shared = 0;                              ///< sum of w * shared deviation
   std::uint32_t photographs = 0;
+  std::uint32_t reserved = 0;
 };
-static_assert(sizeof(Accumulator) == 64);
+static_assert(sizeof(Accumulator) == 72);
 
 /// Adds one photograph's reading.
 void add_sample(Accumulator& sum, const Sample& sample, float high_band_power);
@@ -33,7 +35,7 @@ struct BlendedSurfel {
   float sigma = 0;         ///< NaN: unseen
   std::uint16_t photographs = 0;
 };
-/// shared_sigma is a relative deviation that all photographs have in common.
+/// shared_sigma is a relative deviation that all photographs have in common; it joins the one that their pixels carry.
 BlendedSurfel resolve(const Accumulator& sum, float shared_sigma);
 
 /// How far a leaf has come: everything of photographs before `photograph`, and of that one the surfels in rows before `row`.

@@ -72,7 +72,7 @@ SurfaceMean SurfacePyramid::mean(int x, int y, float footprint) const {
   SurfaceMean result;
   const SurfacePixel& centre = pixel(x, y);
   if (!(centre.area > 0) || !(footprint > 0)) return result;
-  const float radius_px = radius_in_pixels(radius_, footprint), inverse_radius = 1 / (radius_px * footprint);
+  const float radius_px = radius_in_pixels(radius_, footprint), inverse_squared = 1 / (radius_px * footprint * radius_px * footprint);
   const int level = level_for(radius_px), reach = static_cast<int>(std::ceil(radius_px / static_cast<float>(1 << level))) + 1;
   const Level& blocks = levels_[static_cast<std::size_t>(level)];
   const int x0 = std::max(0, (x >> level) - reach), x1 = std::min(blocks.width - 1, (x >> level) + reach);
@@ -82,9 +82,9 @@ SurfaceMean SurfacePyramid::mean(int x, int y, float footprint) const {
     const SurfacePixel* row = &blocks.at(0, v);
     for (int u = x0; u <= x1; ++u) {
       const SurfacePixel& b = row[u];
-      const float distance = (b.position - centre.position).norm() * inverse_radius;
-      if (!(distance < 1) || !(b.area > 0)) continue;
-      const float w = (1 - distance) * b.area;
+      const float squared = (b.position - centre.position).squaredNorm() * inverse_squared;
+      if (!(squared < 1)) continue;
+      const float w = (1 - squared) * b.area;   // 0 where there is nothing
       weights += w;
       result.albedo += w * b.albedo;
       const float facing = w * std::max(0.0f, b.normal.dot(centre.normal));

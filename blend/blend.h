@@ -18,7 +18,7 @@ struct BlendPhotograph {
   std::string name;
   stream::Camera camera;
   std::filesystem::path gbuffer;   ///< raster of surfels/gbuffer.h
-  std::filesystem::path albedo;    ///< raster with planes r g b (albedo, linear, f32; NaN = no value) and sigma (f32, relative sd that is independent between photographs)
+  std::filesystem::path albedo;    ///< raster with planes r g b (albedo, linear, f32; NaN = no value) and sigma (f32, relative sd that is independent between photographs); optional plane shared (f32, relative sd that the photographs of a surfel have in common)
   std::filesystem::path radiance;  ///< raster of stream/photo/develop.h: u8 plane `mask`, bit 1 usable, 2 saturated, 4 not finite
 };
 

@@ -65,7 +65,8 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
   for_plane(a, "r", p, [&](std::size_t i, float v) { p.pixels[i].low.x() = v; });   // the albedo itself until the bands are split
   for_plane(a, "g", p, [&](std::size_t i, float v) { p.pixels[i].low.y() = v; });
   for_plane(a, "b", p, [&](std::size_t i, float v) { p.pixels[i].low.z() = v; });
-  for_plane(a, "sigma", p, [&](std::size_t i, float v) { p.pixels[i].sigma = v; });
+  for_plane(a, "sigma", p, [&](std::size_t i, float v) { p.pixels[i].sigma = std::isfinite(v) ? std::max(v, 0.0f) : 1.0f; });
+  if (a.has("shared")) for_plane(a, "shared", p, [&](std::size_t i, float v) { p.pixels[i].shared = std::isfinite(v) ? std::max(v, 0.0f) : 0.0f; });
   const stream::RasterReader& g = rasters.gbuffer();
   const auto coverage = g.rows<float>("coverage", p.y0, p.rows);
   const auto spread = g.has("spread") ? g.rows<float>("spread", p.y0, p.rows) : std::vector<float>();
@@ -73,15 +74,14 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
   parallel_blocks(p.size(), 1 << 14, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       WindowPixel& pixel = p.pixels[i];
-      const float quality = pixel_quality({.footprint = pixel.footprint, .sigma = pixel.sigma, .spread = spread.empty() ? 0 : spread[i], .coverage = coverage[i]},
+      const float quality = pixel_quality({.footprint = pixel.footprint, .sigma = std::hypot(pixel.sigma, pixel.shared), .spread = spread.empty() ? 0 : spread[i], .coverage = coverage[i]},
                                           options.reference_footprint);
       if (!(pixel.depth > 0) || p.masked[i] || p.saturated[i] || !pixel.low.allFinite() || !pixel.normal.allFinite() || !std::isfinite(pixel.radius) ||
-          !(p.edge[i] > 0) || !(p.cosv[i] > kLeastViewCos) || !(quality > 0))
+          !(p.edge[i] > kMixedPixels) || !(p.cosv[i] > kLeastViewCos) || !(quality > 0))
         continue;
       const Vec2d middle(static_cast<double>(i % static_cast<std::size_t>(p.width)) + 0.5, static_cast<double>(i / static_cast<std::size_t>(p.width)) + p.y0 + 0.5);
       const auto direction = stream::unproject(lens, middle);
       if (!direction) continue;
-      if (!std::isfinite(pixel.sigma)) pixel.sigma = 1;
       const float side = pixel.footprint / options.reference_footprint;
       p.surface[i] = {Vec3f((*direction * static_cast<double>(pixel.depth)).cast<float>()), side * side / p.cosv[i], pixel.low, pixel.normal, quality, p.cosv[i]};
     }

@@ -52,7 +52,7 @@ struct WindowOptions {
 struct WindowPixel {
   float depth = 0, footprint = 0, radius = 0;
   Vec3f normal = Vec3f::Zero();
-  float weight = 0, sigma = 0;
+  float weight = 0, sigma = 0, shared = 0;   ///< relative deviations: independent between photographs, and common to them
   Vec3f low = Vec3f::Zero(), high = Vec3f::Zero();
 };
 

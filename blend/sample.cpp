@@ -47,7 +47,7 @@ std::vector<Vec3d> box_points(const Box3d& box) {
 float visibility_tolerance(float surfel_radius, float pixel_radius, float footprint, float cosv) {
   const float c = std::max(kLeastCos, cosv);
   const float slope = std::sqrt(std::max(0.0f, 1 - c * c)) / c;
-  return surfel_radius + pixel_radius + 0.5f * footprint * (1 + slope);
+  return 0.3f * (surfel_radius + pixel_radius) + 0.5f * footprint * (1 + slope);
 }
 
 std::optional<Vec2d> project_surfel(const stream::Camera& camera, const stream::Surfel& surfel) {
@@ -78,11 +78,13 @@ std::optional<Sample> read_surfel(const stream::Camera& camera, const stream::Su
     agreeing += share;
     sample.weight += share * p->weight;
     sample.sigma += share * p->sigma;
+    sample.shared += share * p->shared;
     sample.low += share * p->low;
     sample.high += share * p->high;
   }
   if (!(sample.weight > 0) || agreeing < 0.25f) return std::nullopt;   // less than a quarter is extrapolation
   sample.sigma /= agreeing;
+  sample.shared /= agreeing;
   sample.low /= agreeing;
   sample.high /= agreeing;
   return sample;

@@ -13,7 +13,7 @@ namespace chiaro::blend {
 
 struct Sample {
   std::uint32_t slot = 0;
-  float weight = 0, sigma = 0;
+  float weight = 0, sigma = 0, shared = 0;
   Vec3f low = Vec3f::Zero(), high = Vec3f::Zero();
 };
 

@@ -46,8 +46,10 @@ inline float incidence_weight(float spread) {
   return 1 / (1 + s * s);
 }
 
-/// Silhouettes, holes and the image border: distance in pixels, as the G-buffer's plane `edge`.
-inline float edge_weight(float edge_px, float border_px) { return smooth_ramp(edge_px, border_px); }
+/// Silhouettes, holes and the image border: distance in pixels, as the G-buffer's plane `edge`. The pixels beside an edge mix two surfaces (by their
+/// own footprint and the lens's blur) and are not used.
+inline constexpr float kMixedPixels = 1;
+inline float edge_weight(float edge_px, float border_px) { return smooth_ramp(edge_px - kMixedPixels, border_px); }
 
 /// The mask's border: distance in pixels to the nearest pixel that must not be used.
 inline float mask_weight(float distance_px, float border_px) { return smooth_ramp(distance_px, border_px); }

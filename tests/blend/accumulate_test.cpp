@@ -10,7 +10,7 @@
 namespace chiaro::blend {
 namespace {
 
-Sample sample(float weight, float low, float high, float sigma) { return {0, weight, sigma, Vec3f::Constant(low), Vec3f::Constant(high)}; }
+Sample sample(float weight, float low, float high, float sigma) { return {0, weight, sigma, 0, Vec3f::Constant(low), Vec3f::Constant(high)}; }
 
 TEST(Accumulate, TwoPhotographsByHand) {
   Accumulator sum;
@@ -21,6 +21,16 @@ TEST(Accumulate, TwoPhotographsByHand) {
   EXPECT_EQ(s.photographs, 2);
   const float low = std::hypot(0.02f, 3 * 0.04f) / 4, high = std::hypot(0.02f, 9 * 0.04f) / 10;
   EXPECT_NEAR(s.sigma, std::hypot(std::max(low, high), 0.03f), 1e-6f);
+}
+
+TEST(Accumulate, WhatPhotographsHaveInCommonDoesNotAverageOut) {
+  Accumulator sum;
+  for (int k = 0; k < 100; ++k) {
+    Sample s = sample(1, 0.5f, 0, 0.1f);
+    s.shared = 0.04f;
+    add_sample(sum, s, 4);
+  }
+  EXPECT_NEAR(resolve(sum, 0).sigma, std::hypot(0.01f, 0.04f), 1e-5f);
 }
 
 TEST(Accumulate, UnseenIsNaN) {
