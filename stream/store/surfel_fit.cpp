@@ -3,7 +3,6 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <array>
-#include <bit>
 #include <cmath>
 #include <limits>
 
@@ -17,45 +16,110 @@ constexpr float kSixthInSpacings = 1.3820f;
 constexpr std::size_t kNearest = 6;
 constexpr int kMostGrowth = 3;
 
-// Four points of a group are worked on at once, one in each lane; comparisons give masks. A GCC and Clang extension that needs no special processor.
-typedef float Lanes __attribute__((vector_size(16)));
-typedef std::int32_t LaneMask __attribute__((vector_size(16)));
-constexpr std::uint32_t kLanes = 4;
+// Eight points of a group are worked on at once, one in each lane. A GCC and Clang extension: two halves on processors with 16-byte vectors, one piece with
+// AVX2. Lanes never meet and each adds in the order of the candidates, so that both give the same bits.
+constexpr std::uint32_t kLanes = 8;
+typedef float Lanes __attribute__((vector_size(32)));
+typedef std::int32_t LaneMask __attribute__((vector_size(32)));
 
-Lanes all(float v) { return Lanes{v, v, v, v}; }
-Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
-Lanes larger(Lanes a, Lanes b) { return a < b ? b : a; }
+#if defined(__x86_64__)
+#define CHIARO_AVX2 __attribute__((target("avx2")))
+const bool kHasAvx2 = __builtin_cpu_supports("avx2");
+#endif
+#define CHIARO_INLINE inline __attribute__((always_inline))
 
-bool any(LaneMask m) {
-  const auto halves = std::bit_cast<std::array<std::uint64_t, 2>>(m);
-  return (halves[0] | halves[1]) != 0;
-}
-
-struct FourPoints {
-  Lanes x, y, z;
+struct EightPoints {
+  std::array<float, kLanes> x, y, z;
 };
 
 struct Nearest {
-  Lanes squared[kNearest];
+  float squared[kNearest][kLanes];
 };
 
+struct CandidateView {
+  const float *x, *y, *z;
+  std::size_t num;
+};
+
+/// Sums over the neighbours within a radius: x y z, xx xy xz yy yz zz, count.
+constexpr std::size_t kTerms = 10;
+
+CHIARO_INLINE void load(const float* from, Lanes& to) { __builtin_memcpy(&to, from, sizeof to); }
+CHIARO_INLINE void store(const Lanes& from, float* to) { __builtin_memcpy(to, &from, sizeof from); }
+
 // Squared distances of the six nearest of each lane, nearest first; what lies on the spot is left out.
-Nearest nearest_of(const Candidates& c, const FourPoints& p) {
-  Nearest best;
-  for (Lanes& b : best.squared) b = all(std::numeric_limits<float>::infinity());
-  const float *cx = c.x.data(), *cy = c.y.data(), *cz = c.z.data();
+CHIARO_INLINE void nearest_body(const CandidateView& c, const EightPoints& p, Nearest& out) {
+  Lanes px, py, pz, best[kNearest];
+  load(p.x.data(), px);
+  load(p.y.data(), py);
+  load(p.z.data(), pz);
+  const Lanes far = Lanes{} + std::numeric_limits<float>::infinity();
+  for (Lanes& b : best) b = far;
   for (std::size_t k = 0; k < c.num; ++k) {
-    const Lanes dx = cx[k] - p.x, dy = cy[k] - p.y, dz = cz[k] - p.z;
+    const Lanes dx = c.x[k] - px, dy = c.y[k] - py, dz = c.z[k] - pz;
     Lanes d = dx * dx + dy * dy + dz * dz;
-    d = d > all(0) ? d : all(std::numeric_limits<float>::infinity());
-    for (Lanes& b : best.squared) {
-      const Lanes low = smaller(b, d);
-      d = larger(b, d);
+    d = d > Lanes{} ? d : far;
+    for (Lanes& b : best) {
+      const Lanes low = b < d ? b : d;
+      d = b < d ? d : b;
       b = low;
     }
   }
-  return best;
+  for (std::size_t i = 0; i < kNearest; ++i) store(best[i], out.squared[i]);
 }
+
+// Sums over the candidates within each of `num_scales` radii, widest first.
+template <std::size_t num_scales>
+CHIARO_INLINE void moments_body(const CandidateView& c, const EightPoints& p, const float (&limits)[num_scales][kLanes], float (&out)[num_scales][kTerms][kLanes]) {
+  Lanes px, py, pz, limit[num_scales], sums[num_scales][kTerms];
+  load(p.x.data(), px);
+  load(p.y.data(), py);
+  load(p.z.data(), pz);
+  for (std::size_t s = 0; s < num_scales; ++s) {
+    load(limits[s], limit[s]);
+    for (Lanes& sum : sums[s]) sum = Lanes{};
+  }
+  const Lanes one = Lanes{} + 1.0f;
+  for (std::size_t k = 0; k < c.num; ++k) {
+    const Lanes dx = c.x[k] - px, dy = c.y[k] - py, dz = c.z[k] - pz;
+    const Lanes terms[kTerms] = {dx, dy, dz, dx * dx, dx * dy, dx * dz, dy * dy, dy * dz, dz * dz, one};
+    const Lanes d = terms[3] + terms[6] + terms[8];
+    for (std::size_t s = 0; s < num_scales; ++s) {
+      const LaneMask inside = (d <= limit[s]) & (d > Lanes{});
+      std::uint64_t any[4];
+      __builtin_memcpy(any, &inside, sizeof inside);
+      if ((any[0] | any[1] | any[2] | any[3]) == 0) break;  // nor is it within the narrower radii
+      for (std::size_t t = 0; t < kTerms; ++t) sums[s][t] += inside ? terms[t] : Lanes{};
+    }
+  }
+  for (std::size_t s = 0; s < num_scales; ++s)
+    for (std::size_t t = 0; t < kTerms; ++t) store(sums[s][t], out[s][t]);
+}
+
+#if defined(CHIARO_AVX2)
+CHIARO_AVX2 void nearest_avx2(const CandidateView& c, const EightPoints& p, Nearest& out) { nearest_body(c, p, out); }
+template <std::size_t n>
+CHIARO_AVX2 void moments_avx2(const CandidateView& c, const EightPoints& p, const float (&limits)[n][kLanes], float (&out)[n][kTerms][kLanes]) {
+  moments_body(c, p, limits, out);
+}
+#endif
+
+void nearest_of(const CandidateView& c, const EightPoints& p, Nearest& out) {
+#if defined(CHIARO_AVX2)
+  if (kHasAvx2) return nearest_avx2(c, p, out);
+#endif
+  nearest_body(c, p, out);
+}
+
+template <std::size_t n>
+void moments_of(const CandidateView& c, const EightPoints& p, const float (&limits)[n][kLanes], float (&out)[n][kTerms][kLanes]) {
+#if defined(CHIARO_AVX2)
+  if (kHasAvx2) return moments_avx2(c, p, limits, out);
+#endif
+  moments_body(c, p, limits, out);
+}
+
+CandidateView view_of(const Candidates& c) { return {c.x.data(), c.y.data(), c.z.data(), c.num}; }
 
 float mean_distance(const std::array<float, kNearest>& nearest_squared) {
   float sum = 0;
@@ -78,23 +142,23 @@ struct NeighbourList {
   std::size_t total = 0;  ///< how many lie within it
   std::size_t size() const { return x.size(); }
   Vec3f offset(std::size_t k) const { return {x[k], y[k], z[k]}; }
-  void clear() {
-    x.clear();
-    y.clear();
-    z.clear();
-    distance_squared.clear();
-    candidate.clear();
+  void resize(std::size_t n) {
+    x.resize(n);
+    y.resize(n);
+    z.resize(n);
+    distance_squared.resize(n);
+    candidate.resize(n);
   }
-  void add(float dx, float dy, float dz, float d, std::uint32_t k) {
-    x.push_back(dx);
-    y.push_back(dy);
-    z.push_back(dz);
-    distance_squared.push_back(d);
-    candidate.push_back(k);
+  void set(std::size_t at, float dx, float dy, float dz, float d, std::uint32_t k) {
+    x[at] = dx;
+    y[at] = dy;
+    z[at] = dz;
+    distance_squared[at] = d;
+    candidate[at] = k;
   }
 };
 
-/// Goes through a chunk in groups of consecutive points that share a search. Fit answers: fit_four() fits up to four points from the candidates and tells
+/// Goes through a chunk in groups of consecutive points that share a search. Fit answers: fit_lanes() fits up to eight points from the candidates and tells
 /// the radius it used, or 0 for a point that needs the careful search; fit_one() fits one from a complete list, or refuses and gets a larger one.
 template <class Fit>
 class Walker {
@@ -146,21 +210,22 @@ class Walker {
     float sum = 0;
     for (std::uint32_t first = begin; first < end; first += kLanes) {
       const std::uint32_t count = std::min(kLanes, end - first);
-      FourPoints p;
+      EightPoints p;
       for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
         const std::uint32_t i = first + std::min(lane, count - 1);
         p.x[lane] = own_.x[i];
         p.y[lane] = own_.y[i];
         p.z[lane] = own_.z[i];
       }
-      const auto nearest = nearest_of(candidates_, p);
-      const Lanes sixth = nearest.squared[kNearest - 1];
+      Nearest nearest;
+      nearest_of(view_of(candidates_), p, nearest);
+      const float* sixth = nearest.squared[kNearest - 1];
       std::array<float, kLanes> wanted;
       for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
         wanted[lane] = std::sqrt(sixth[lane]) / kSixthInSpacings * static_cast<float>(options_.radius_spacings);
         if (lane >= count || !(wanted[lane] <= guess_) || !(sixth[lane] <= guess_ * guess_)) wanted[lane] = 0;
       }
-      fit_.fit_four(first, p, nearest, candidates_, wanted);
+      fit_.fit_lanes(first, p, nearest, candidates_, wanted);
       for (std::uint32_t lane = 0; lane < count; ++lane) sum += wanted[lane] > 0 ? wanted[lane] : search_carefully(first + lane, std::sqrt(sixth[lane]));
     }
     // The next group is probably as dense as this one.
@@ -216,8 +281,11 @@ class Walker {
       std::nth_element(near_.begin(), near_.begin() + static_cast<std::ptrdiff_t>(options_.most), near_.end());
       near_.resize(options_.most);
     }
-    list_.clear();
-    for (const auto& [d, k] : near_) list_.add(single_.x[k] - own_.x[i], single_.y[k] - own_.y[i], single_.z[k] - own_.z[i], d, k);
+    list_.resize(near_.size());
+    for (std::size_t at = 0; at < near_.size(); ++at) {
+      const auto [d, k] = near_[at];
+      list_.set(at, single_.x[k] - own_.x[i], single_.y[k] - own_.y[i], single_.z[k] - own_.z[i], d, k);
+    }
     list_.radius = wanted;
   }
 
@@ -238,8 +306,7 @@ Vec3f across(const Vec3f& v) {
   return v.cross(axis).normalized();
 }
 
-/// Sums over the neighbours: x y z, xx xy xz yy yz zz, count.
-using Moments = std::array<double, 10>;
+using Moments = std::array<double, kTerms>;
 
 // Floats lose a millionth, but products of two need care where the plane is thin: at worst some 0.001 degrees.
 struct NormalAnswer {
@@ -345,30 +412,16 @@ class NormalFitter {
  public:
   NormalFitter(const FitOptions& options, std::vector<NormalFit>& fits) : options_(options), fits_(fits) {}
 
-  void fit_four(std::uint32_t first, const FourPoints& p, const Nearest&, const Candidates& c, std::array<float, kLanes>& wanted) {
-    const Lanes radius{wanted[0], wanted[1], wanted[2], wanted[3]};
-    Lanes limit[kScales];
-    for (std::size_t s = 0; s < kScales; ++s) limit[s] = radius * radius * all(kScaleOfRadius[s] * kScaleOfRadius[s]);
-    Lanes sums[kScales][10];
-    for (auto& scale : sums)
-      for (Lanes& s : scale) s = all(0);
-    const float *cx = c.x.data(), *cy = c.y.data(), *cz = c.z.data();
-    const Lanes zero = all(0), one = all(1);
-    for (std::size_t k = 0; k < c.num; ++k) {
-      const Lanes dx = cx[k] - p.x, dy = cy[k] - p.y, dz = cz[k] - p.z;
-      const Lanes terms[10] = {dx, dy, dz, dx * dx, dx * dy, dx * dz, dy * dy, dy * dz, dz * dz, one};
-      const Lanes d = terms[3] + terms[6] + terms[8];
-      for (std::size_t s = 0; s < kScales; ++s) {
-        const LaneMask inside = (d <= limit[s]) & (d > zero);
-        if (!any(inside)) break;  // nor is it within the narrower radii
-        for (std::size_t t = 0; t < 10; ++t) sums[s][t] += inside ? terms[t] : zero;
-      }
-    }
+  void fit_lanes(std::uint32_t first, const EightPoints& p, const Nearest&, const Candidates& c, std::array<float, kLanes>& wanted) {
+    float limits[kScales][kLanes], sums[kScales][kTerms][kLanes];
+    for (std::size_t s = 0; s < kScales; ++s)
+      for (std::uint32_t lane = 0; lane < kLanes; ++lane) limits[s][lane] = wanted[lane] * wanted[lane] * kScaleOfRadius[s] * kScaleOfRadius[s];
+    moments_of(view_of(c), p, limits, sums);
     for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
       if (wanted[lane] == 0) continue;
       std::array<Moments, kScales> m;
       for (std::size_t s = 0; s < kScales; ++s)
-        for (std::size_t t = 0; t < 10; ++t) m[s][t] = static_cast<double>(sums[s][t][lane]);
+        for (std::size_t t = 0; t < kTerms; ++t) m[s][t] = static_cast<double>(sums[s][t][lane]);
       const NormalAnswer answer = normal_of_scales(m);
       if (answer.line || m[0][9] > static_cast<double>(options_.most)) wanted[lane] = 0;
       else fits_[first + lane] = answer.fit;
@@ -473,14 +526,11 @@ class RadiusFitter {
  public:
   RadiusFitter(const HaloChunk& own, const FitOptions& options, std::vector<RadiusFit>& fits) : own_(own), options_(options), fits_(fits) {}
 
-  void fit_four(std::uint32_t first, const FourPoints& p, const Nearest& nearest, const Candidates& c, std::array<float, kLanes>& wanted) {
+  void fit_lanes(std::uint32_t first, const EightPoints& p, const Nearest& nearest, const Candidates& c, std::array<float, kLanes>& wanted) {
     for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
       if (wanted[lane] == 0) continue;
-      const float px = p.x[lane], py = p.y[lane], pz = p.z[lane];
-      collect(c, px, py, pz, wanted[lane]);
-      list_.radius = wanted[lane];
-      list_.total = list_.size();
       for (std::size_t k = 0; k < kNearest; ++k) list_.nearest_squared[k] = nearest.squared[k][lane];
+      collect(c, p.x[lane], p.y[lane], p.z[lane], wanted[lane]);
       if (list_.total > options_.most || !fit_one(first + lane, list_, c, false)) wanted[lane] = 0;
     }
   }
@@ -524,11 +574,19 @@ class RadiusFitter {
       index[m] = static_cast<std::uint32_t>(k);
       m += d[k] <= limit;
     }
-    list_.clear();
-    for (std::size_t k = 0; k < m; ++k) {
-      const std::uint32_t j = index[k];
-      if (d[j] > 0) list_.add(cx[j] - px, cy[j] - py, cz[j] - pz, d[j], j);
-    }
+    // The nearest first: they settle most of the cell.
+    list_.resize(m + 1);
+    const float near = list_.nearest_squared[kNearest - 1];
+    std::size_t at = 0;
+    for (const bool first : {true, false})
+      for (std::size_t k = 0; k < m; ++k) {
+        const std::uint32_t j = index[k];
+        list_.set(at, cx[j] - px, cy[j] - py, cz[j] - pz, d[j], j);
+        at += static_cast<std::size_t>((d[j] <= near) == first) & static_cast<std::size_t>(d[j] > 0);
+      }
+    list_.resize(at);
+    list_.radius = radius;
+    list_.total = at;
   }
 
   // Off the line through the point and its farthest neighbour nothing lies further than a 16th of the length.
@@ -553,20 +611,21 @@ class RadiusFitter {
     }
   };
 
-  float fit(std::uint32_t i, const NeighbourList& list, const Candidates& c) const {
+  float fit(std::uint32_t i, const NeighbourList& list, const Candidates& c) {
     const float mean = mean_distance(list.nearest_squared);
     if (list.size() == 0) return options_.lone_radius;
     if (list.size() < 3 || (own_.flags[i] & SurfelBlock::kIsolated)) return std::min(mean, options_.lone_radius);
     // Along scan lines the nearest are much closer than the next line: the search radius knows.
     const float scale = std::max(mean, list.radius < options_.max_radius ? list.radius / static_cast<float>(options_.radius_spacings) : 0.0f);
     const Face face{decode_normal(own_.normal[i][0], own_.normal[i][1]), (own_.flags[i] & SurfelBlock::kOriented) != 0};
+    project(face, list);
     TangentCell cell = cell_of(face, list, c, scale, false);
     if (!cell.bounded() && few_on_face(face, list, c)) cell = cell_of(face, list, c, scale, true);
     float within = 0;   // the farthest corner that lies inside the surface
     bool open = false;
     cell.for_corners([&](float x, float y) {
       const float d = std::sqrt(x * x + y * y);
-      if (d <= scale || is_inside(face, list, x / d, y / d, d)) within = std::max(within, d);
+      if (d <= scale || is_inside(x / d, y / d, d)) within = std::max(within, d);
       else open = true;
     });
     if (!open) return std::min(1.1f * within, 3 * scale);
@@ -575,13 +634,26 @@ class RadiusFitter {
 
   // A corner of the cell is inside the surface if points lie beyond it. On a border the half-way lines of the outermost points meet far outside, where
   // nothing is left to cover.
-  static bool is_inside(const Face& face, const NeighbourList& list, float x, float y, float distance) {
-    const Vec3f u = across(face.normal), v = face.normal.cross(u);
-    for (std::size_t k = 0; k < list.size(); ++k) {
-      const float tu = u.dot(list.offset(k)), tv = v.dot(list.offset(k));
-      if (tu * x + tv * y >= distance && std::fabs(tv * x - tu * y) <= distance) return true;
+  bool is_inside(float x, float y, float distance) const {
+    for (std::size_t k = 0; k < tangent_u_.size(); ++k) {
+      const float tu = tangent_u_[k], tv = tangent_v_[k];
+      if (tu * x + tv * y >= distance && std::abs(tv * x - tu * y) <= distance) return true;
     }
     return false;
+  }
+
+  // The neighbours in the tangent plane.
+  void project(const Face& face, const NeighbourList& list) {
+    const Vec3f u = across(face.normal), v = face.normal.cross(u);
+    const std::size_t n = list.size();
+    tangent_u_.resize(n);
+    tangent_v_.resize(n);
+    const float *x = list.x.data(), *y = list.y.data(), *z = list.z.data();
+    float *tu = tangent_u_.data(), *tv = tangent_v_.data();
+    for (std::size_t k = 0; k < n; ++k) {
+      tu[k] = u.x() * x[k] + u.y() * y[k] + u.z() * z[k];
+      tv[k] = v.x() * x[k] + v.y() * y[k] + v.z() * z[k];
+    }
   }
 
   static bool few_on_face(const Face& face, const NeighbourList& list, const Candidates& c) {
@@ -590,22 +662,15 @@ class RadiusFitter {
     return on_face < 5;
   }
 
-  static TangentCell cell_of(const Face& face, const NeighbourList& list, const Candidates& c, float scale, bool use_all) {
-    const Vec3f u = across(face.normal), v = face.normal.cross(u);
+  TangentCell cell_of(const Face& face, const NeighbourList& list, const Candidates& c, float scale, bool use_all) const {
     TangentCell cell(3 * scale);
-    // The nearest first: after them hardly any other can cut.
-    for (const bool near : {true, false}) {
-      for (std::size_t k = 0; k < list.size(); ++k) {
-        const float distance_squared = list.distance_squared[k];
-        if ((distance_squared <= list.nearest_squared[kNearest - 1]) != near) continue;
-        if (distance_squared > 4 * cell.farthest_squared()) continue;
-        const Vec3f offset = list.offset(k);
-        // The tangent plane meets the plane half-way between the two points where offset . x = distance^2 / 2.
-        const float tu = u.dot(offset), tv = v.dot(offset);
-        if (!cell.cuts(tu, tv, 0.5f * distance_squared)) continue;
-        if (!use_all && !face.holds(offset, distance_squared, list.candidate[k], c)) continue;
-        cell.clip(tu, tv, 0.5f * distance_squared);
-      }
+    for (std::size_t k = 0; k < list.size(); ++k) {
+      const float distance_squared = list.distance_squared[k];
+      if (distance_squared > 4 * cell.farthest_squared()) continue;
+      // The tangent plane meets the plane half-way between the two points where offset . x = distance^2 / 2.
+      if (!cell.cuts(tangent_u_[k], tangent_v_[k], 0.5f * distance_squared)) continue;
+      if (!use_all && !face.holds(list.offset(k), distance_squared, list.candidate[k], c)) continue;
+      cell.clip(tangent_u_[k], tangent_v_[k], 0.5f * distance_squared);
     }
     return cell;
   }
@@ -614,7 +679,7 @@ class RadiusFitter {
   const FitOptions& options_;
   std::vector<RadiusFit>& fits_;
   NeighbourList list_;
-  std::vector<float> distance_;
+  std::vector<float> distance_, tangent_u_, tangent_v_;
   std::vector<std::uint32_t> index_;
 };
 
