@@ -242,6 +242,23 @@ bool breaks(const DepthBand& band, const std::vector<Vec3f>& points, std::size_t
   return off > 2.0f * std::max(band.footprint[a], band.footprint[b]) + 0.5f * std::max(band.radius[a], band.radius[b]);
 }
 
+/// A pixel whose neighbours to both sides, and above and below, lie on one surface while it does not: a ray that slipped between two discs of a
+/// surface seen at a grazing angle. It is no edge, since nothing begins or ends there.
+std::vector<std::uint8_t> slipped_pixels(const DepthBand& band, const std::vector<Vec3f>& points) {
+  std::vector<std::uint8_t> slipped(band.depth.size(), 0);
+  const auto whole = [&](std::size_t i) { return band.coverage[i] >= 0.999f; };
+  parallel_blocks(static_cast<std::size_t>(std::max(0, band.rows - 2)), 8, [&](std::size_t b, std::size_t e) {
+    for (std::size_t r = b + 1; r < e + 1; ++r)
+      for (int x = 1; x + 1 < band.width; ++x) {
+        const std::size_t i = band.at(x, static_cast<int>(r)), w = static_cast<std::size_t>(band.width);
+        if (!whole(i - 1) || !whole(i + 1) || !whole(i - w) || !whole(i + w)) continue;
+        if (whole(i) && !breaks(band, points, i, i - 1) && !breaks(band, points, i, i + 1) && !breaks(band, points, i, i - w) && !breaks(band, points, i, i + w)) continue;
+        slipped[i] = !breaks(band, points, i - 1, i + 1) && !breaks(band, points, i - w, i + w);
+      }
+  });
+  return slipped;
+}
+
 /// 1 where the pixel is at a depth edge, a hole, or partly covered.
 std::vector<std::uint8_t> edge_pixels(const DepthBand& band, const stream::Lens& lens, const Mat3d& world_from_camera) {
   std::vector<Vec3f> points(band.depth.size(), Vec3f::Zero());
@@ -251,14 +268,17 @@ std::vector<std::uint8_t> edge_pixels(const DepthBand& band, const stream::Lens&
         if (const auto d = stream::unproject(lens, {x + 0.5, band.y0 + static_cast<int>(r) + 0.5}))
           points[band.at(x, static_cast<int>(r))] = (world_from_camera * *d).cast<float>() * band.depth[band.at(x, static_cast<int>(r))];
   });
+  const std::vector<std::uint8_t> slipped = slipped_pixels(band, points);
   std::vector<std::uint8_t> edge(band.depth.size(), 0);
   for (int r = 0; r < band.rows; ++r)
     for (int x = 0; x < band.width; ++x) {
       const std::size_t a = band.at(x, r);
+      if (slipped[a]) continue;
       if (band.coverage[a] < 0.999f) edge[a] = 1;
       for (const auto& [dx, dy] : {std::pair{1, 0}, std::pair{0, 1}}) {
         if (x + dx >= band.width || r + dy >= band.rows) continue;
         const std::size_t b = band.at(x + dx, r + dy);
+        if (slipped[b]) continue;
         if (band.depth[a] > 0 && band.depth[b] > 0 && breaks(band, points, a, b)) edge[a] = edge[b] = 1;
       }
     }
