@@ -53,7 +53,7 @@ SurfacePyramid::Level SurfacePyramid::halve(const Level& fine, float radius) {
   parallel_blocks(static_cast<std::size_t>(coarse.rows), 8, [&](std::size_t y0, std::size_t y1) {
     for (auto y = static_cast<int>(y0); y < static_cast<int>(y1); ++y)
       for (int x = 0; x < coarse.width; ++x) {
-        const SurfacePixel* children[4];
+        const SurfacePixel* children[4] = {};
         int count = 0;
         for (int v = 2 * y; v < std::min(fine.rows, 2 * y + 2); ++v)
           for (int u = 2 * x; u < std::min(fine.width, 2 * x + 2); ++u) children[count++] = &fine.at(u, v);

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <map>
 
+#include "blend/photo_window.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/base/parallel.h"
@@ -247,6 +248,23 @@ TEST(Blend, TheSharperPhotographDecidesTheDetail) {
   w.run({near, far});
   EXPECT_GT(far_alone, 4 * near_alone);
   EXPECT_LT(error(), 1.1 * near_alone);
+}
+
+TEST(Blend, AWindowsPixelsDoNotDependOnWhereItBegins) {
+  const Workplace w(plane_scene());
+  const BlendPhotograph a = w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.4, 0.5, 0));
+  const PhotographRasters rasters(a.camera.lens, a.gbuffer, a.albedo, a.radiance);
+  const WindowOptions options{.low_radius = 0.05f, .reference_footprint = 0.005f, .border_px = 12};
+  const int halo = halo_rows(options, footprints(rasters).smallest());
+  const PhotoWindow whole = load_window(rasters, a.camera, 0, 120, halo, options);
+  for (const int y0 : {0, 37, 50, 61, 104}) {
+    const PhotoWindow part = load_window(rasters, a.camera, y0, std::min(120, y0 + 9), halo, options);
+    for (int y = std::max(0, y0 - 1); y < std::min(120, y0 + 10); ++y)
+      for (int x = 0; x < 160; ++x) {
+        ASSERT_EQ(part.at(x, y)->weight, whole.at(x, y)->weight) << x << " " << y;
+        ASSERT_EQ(part.at(x, y)->low, whole.at(x, y)->low) << x << " " << y;
+      }
+  }
 }
 
 TEST(Blend, OrderThreadsAndBudgetDoNotChangeTheBytes) {
