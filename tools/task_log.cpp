@@ -33,9 +33,20 @@ Json read_marker(const std::filesystem::path& path) {
   marker.erase("check");
   return check == check_of(marker) ? marker : Json(nullptr);
 }
+/// Sizes of the outputs: null for a folder or what is not there. A result that was cut short or replaced since is no result.
+Json sizes_of(const std::vector<std::filesystem::path>& outputs) {
+  Json sizes = Json::array();
+  for (const std::filesystem::path& p : outputs) {
+    std::error_code code;
+    const bool is_file = std::filesystem::is_regular_file(p, code);
+    const auto bytes = is_file ? std::filesystem::file_size(p, code) : 0;
+    sizes.push_back(is_file && !code ? Json(bytes) : Json(nullptr));
+  }
+  return sizes;
+}
 bool matches(const Json& marker, const std::string& key, const std::vector<std::filesystem::path>& outputs) {
-  if (!marker.is_object() || !marker.contains("key") || marker["key"] != key) return false;
-  return std::all_of(outputs.begin(), outputs.end(), [](const std::filesystem::path& p) { return std::filesystem::exists(p); });
+  if (!marker.is_object() || !marker.contains("key") || marker["key"] != key || !marker.contains("output_bytes")) return false;
+  return std::all_of(outputs.begin(), outputs.end(), [](const std::filesystem::path& p) { return std::filesystem::exists(p); }) && marker["output_bytes"] == sizes_of(outputs);
 }
 }  // namespace
 
@@ -60,7 +71,7 @@ TaskOutcome TaskLog::run(const std::string& name, const std::string& key, const 
   const auto start = std::chrono::steady_clock::now();
   outcome.info_json = body();
   outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  Json out{{"task", name}, {"key", key}, {"seconds", outcome.seconds}, {"info", Json::parse(outcome.info_json)}};
+  Json out{{"task", name}, {"key", key}, {"seconds", outcome.seconds}, {"output_bytes", sizes_of(outputs)}, {"info", Json::parse(outcome.info_json)}};
   out["check"] = check_of(out);
   write_text(marker(name), out.dump(1) + "\n");
   return outcome;

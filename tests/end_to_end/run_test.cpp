@@ -142,6 +142,19 @@ TEST_F(Run, ReusesWhatIsDone) {
   for (const auto& stage : record["stages"]) EXPECT_TRUE(stage["reused"].get<bool>()) << stage["name"];
 }
 
+TEST_F(Run, MakesAgainWhatWasCutOrRemoved) {
+  scene({.photographs = 1});
+  ASSERT_EQ(run("out").code, 0);
+  const auto before = results("out");
+  fs::remove(at("out/photographs/photo_00/sigma.exr"));
+  fs::resize_file(at("out/photographs/photo_00/residual.exr"), 500);
+  fs::resize_file(at("out/albedo.ply"), 1000);
+  fs::resize_file(at("out/work/photographs/photo_00/gbuffer.raster"), 1000);
+  const ProcessResult ran = run("out");
+  EXPECT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(differences(before, results("out")), testing::IsEmpty());
+}
+
 TEST_F(Run, ComesToTheSameResultAfterAChangeAndBack) {
   scene();
   ASSERT_EQ(run("out").code, 0);

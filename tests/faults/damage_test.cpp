@@ -26,9 +26,10 @@ void expect_civil(const ProcessResult& ran, const std::string& what) {
     EXPECT_THAT(ran.err, HasSubstr("error: ")) << what;
     EXPECT_THAT(ran.err, testing::Not(HasSubstr("std::"))) << what;
   }
-#ifndef __SANITIZE_ADDRESS__
-  EXPECT_LT(ran.peak_bytes, kMostMemory) << what;
-#endif
+  EXPECT_THAT(ran.err, testing::Not(testing::AnyOf(HasSubstr("Sanitizer"), HasSubstr("runtime error")))) << what;
+  if (!other_executable()) {
+    EXPECT_LT(ran.peak_bytes, kMostMemory) << what;
+  }
 }
 
 ProcessOptions impatient() {

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstdlib>
 #include <nlohmann/json.hpp>
 
 #include "stream/base/file.h"
@@ -14,6 +15,9 @@ namespace chiaro::test {
 
 /// What a user keeps of a run: no times, no paths, so equal work must give equal bytes.
 inline const std::vector<std::string> kResults{"albedo.ply", "lights.json", "photographs"};
+
+/// Another build of the program to test, such as one with sanitizers (their memory is then not judged); null = the one of this build.
+inline const char* other_executable() { return std::getenv("CHIARO_TEST_EXECUTABLE"); }
 
 /// Each run syncs dozens of files: in memory, where the system has such a folder, that costs nothing.
 inline std::filesystem::path quick_disk() { return std::filesystem::exists("/dev/shm") ? std::filesystem::path("/dev/shm") : std::filesystem::path(); }
@@ -27,7 +31,7 @@ class RunTest : public testing::Test {
   TinyScene scene(const TinySceneOptions& options = {}, const std::string& folder = "scene") const { return write_tiny_scene(at(folder), options); }
 
   ProcessResult chiaro(std::vector<std::string> words, const ProcessOptions& options = {}) const {
-    words.insert(words.begin(), CHIARO_EXECUTABLE);
+    words.insert(words.begin(), other_executable() ? other_executable() : CHIARO_EXECUTABLE);
     return run_process(words, options);
   }
 
