@@ -17,31 +17,16 @@ sanitized_targets=(base_test cloud_test photo_test store_test)
 sanitized_names='^(base|cloud|photo|store)\.'
 
 bash tools/setup.sh
-# shellcheck source=tools/jobs.sh
-source tools/jobs.sh
+# shellcheck source=tools/building.sh
+source tools/building.sh
 
 say() { printf '\n== %s\n' "$*"; }
 start=$SECONDS
-
-# build PRESET TARGETS…: quiet when it works, everything on screen when it does not.
-build() {
-  local preset=$1 log=build/$1.log began=$SECONDS
-  shift
-  mkdir -p build
-  if ! { cmake --preset "$preset" && cmake --build --preset "$preset" --parallel "$jobs" ${*:+--target "$@"}; } >"$log" 2>&1; then
-    tail -n 60 "$log"
-    say "building $preset failed; the whole log is in $log"
-    exit 1
-  fi
-  echo "$preset built in $((SECONDS - began)) s"
-}
 
 failed=no
 if [ "$quick" = no ]; then
   say "readers under the address and undefined-behaviour sanitizers"
   build asan "${sanitized_targets[@]}"
-  # A large allocation is an exception here as it is outside, and not a stop by the sanitizer.
-  export ASAN_OPTIONS="allocator_may_return_null=0:detect_leaks=1:${ASAN_OPTIONS:-}"
   ctest --preset asan -j "$jobs" -R "$sanitized_names" --quiet --output-log build/asan_tests.log || failed=yes
   [ "$failed" = no ] || cat build/asan_tests.log
   tail -n 3 build/asan_tests.log

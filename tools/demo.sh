@@ -7,16 +7,11 @@ start=$SECONDS
 say() { printf '\n== %s\n' "$*"; }
 
 bash tools/setup.sh
-# shellcheck source=tools/jobs.sh
-source tools/jobs.sh
+# shellcheck source=tools/building.sh
+source tools/building.sh
 
-say "building (build/release, log in build/demo.log)"
-mkdir -p build
-if ! { cmake --preset release && cmake --build --preset release --parallel "$jobs" --target chiaro; } >build/demo.log 2>&1; then
-  tail -n 60 build/demo.log
-  echo "building failed; the whole log is in build/demo.log" >&2
-  exit 1
-fi
+say "building (build/release)"
+build release chiaro
 chiaro=build/release/chiaro
 scene=data/tower
 out=demo.out
