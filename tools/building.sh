@@ -6,8 +6,7 @@ memory_jobs=$(awk '/^MemAvailable/ { print int($2 / 1700000) }' /proc/meminfo)
 [ "$memory_jobs" -ge "$jobs" ] || jobs=$memory_jobs
 [ "$jobs" -ge 1 ] || jobs=1
 
-# build PRESET [TARGETS…]: one line when it works, the end of the log when it does not. A new build folder gets precompiled headers (a third less time from
-# scratch); one that is there keeps its settings.
+# build PRESET [TARGETS…]: one line when it works, the end of the log when it does not.
 build() {
   local preset=$1 log=build/$1.log began=$SECONDS
   shift
