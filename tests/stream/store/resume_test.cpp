@@ -1,5 +1,8 @@
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
+#include <atomic>
+#include <csignal>
 #include <filesystem>
 #include <fstream>
 
@@ -95,6 +98,71 @@ TEST(Resume, TheOldStoreStaysReadableUntilTheNewOneIsThere) {
   EXPECT_EQ(Store(out).manifest().points_stored, 1000u);
   build_store_from(input_of(second, "second"), out, options, budget, silent_reporter());
   EXPECT_EQ(Store(out).manifest().points_stored, 6000u);
+}
+
+class CancellingReporter : public KillingReporter {
+ public:
+  CancellingReporter() : KillingReporter(1 << 30) {}
+  void progress(std::uint64_t) override { ++calls_; }
+  bool cancelled() const override { return calls_ > 8; }
+
+ private:
+  std::atomic<int> calls_{0};
+};
+
+TEST(Resume, ACancelledBuildStopsAndGoesOnWithLessMemory) {
+  const ScratchFolder scratch;
+  const MemoryCloud cloud = sphere_cloud(80000, 1.0);
+  build(cloud, scratch.path() / "whole.chiaro", 256);
+  BuildOptions options;
+  options.chunk_surfels = 256;
+  MemoryBudget large(1 << 29), small(40 << 20);
+  CancellingReporter reporter;
+  const fs::path out = scratch.path() / "a.chiaro";
+  EXPECT_THROW(build_store_from(input_of(cloud), out, options, large, reporter), Cancelled);
+  EXPECT_TRUE(fs::exists(out.string() + ".part/journal.json"));
+  build_store_from(input_of(cloud), out, options, small, silent_reporter());
+  EXPECT_TRUE(bytes_of(out) == bytes_of(scratch.path() / "whole.chiaro"));
+}
+
+// From the named stage on, files cannot grow beyond 64 KiB, as if the disk were full.
+class DiskFillsAt : public KillingReporter {
+ public:
+  explicit DiskFillsAt(std::string stage) : KillingReporter(1 << 30), stage_(std::move(stage)) {
+    getrlimit(RLIMIT_FSIZE, &old_);
+    handler_ = std::signal(SIGXFSZ, SIG_IGN);
+  }
+  ~DiskFillsAt() override {
+    setrlimit(RLIMIT_FSIZE, &old_);
+    std::signal(SIGXFSZ, handler_);
+  }
+  void begin(std::string_view stage, std::uint64_t, std::string_view) override {
+    if (stage != stage_) return;
+    struct rlimit limit = old_;
+    limit.rlim_cur = 65536;
+    setrlimit(RLIMIT_FSIZE, &limit);
+  }
+
+ private:
+  std::string stage_;
+  struct rlimit old_ {};
+  void (*handler_)(int) = nullptr;
+};
+
+TEST(Resume, ADiskThatFillsUpIsAnErrorAndTheBuildGoesOnLater) {
+  const ScratchFolder scratch;
+  MemoryCloud cloud = sphere_cloud(20000, 1.0);
+  cloud.colour.assign(cloud.position.size(), {1, 2, 3});
+  const fs::path out = scratch.path() / "a.chiaro";
+  MemoryBudget budget(1 << 29);
+  for (const char* stage : {"count points", "distribute points", "sort points", "normals", "radii", "inner levels"}) {
+    DiskFillsAt reporter(stage);
+    EXPECT_THROW(build_store_from(input_of(cloud), out, {}, budget, reporter), Error) << stage;
+    EXPECT_FALSE(fs::exists(out)) << stage;
+  }
+  EXPECT_EQ(build_store_from(input_of(cloud), out, {}, budget, silent_reporter()).points_stored, 20000u);
+  EXPECT_TRUE(verify_store(out, budget, silent_reporter()).problems.empty());
+  EXPECT_EQ(budget.used_bytes(), 0u);
 }
 
 TEST(Resume, ADamagedJournalStartsOver) {
