@@ -19,10 +19,13 @@ namespace {
 constexpr double kPi = std::numbers::pi;
 constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 constexpr int kBandRows = 128;
+constexpr float kImpossible = 2;
+constexpr double kShadowDoubt = 0.7;   // of the flash, where a shadow's edge may be on either side of the pixel
 
 struct PixelAlbedo {
   std::array<float, 3> albedo{kNone, kNone, kNone};
   float sigma = kNone, shared = kNone, direct = 0, indirect = 0, ambient = 0;
+  bool impossible = false;
 };
 
 struct Context {
@@ -88,14 +91,25 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
     noise += (c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma)) / (z * z) / 3;
   }
   const double sd = direct / total_mean, sg = indirect_mean / total_mean;
+  // No surface gives back twice what it receives: the light at this pixel is not what it is taken for (a shadow's edge, a highlight).
+  if (std::max({out.albedo[0], out.albedo[1], out.albedo[2]}) > kImpossible) {
+    PixelAlbedo none;
+    none.impossible = true;
+    return none;
+  }
   out.direct = static_cast<float>(sd);
   out.indirect = static_cast<float>(sg);
   out.ambient = static_cast<float>(ambient / total_mean);
   const Vec3f to_flash = c.flash - point;
   const double cosine = std::max(0.05, static_cast<double>(band.normal(i).dot(to_flash) / to_flash.norm()));
   const double tan_flash = std::sqrt(1 - std::min(1.0, cosine * cosine)) / cosine;
+  // Lit or not is in doubt near the edge of a cast shadow, and what is brighter than a white surface would be there is not what it is taken for.
+  const double unshadowed = lights.flash_intensity * std::max(0.0, static_cast<double>(band.normal(i).dot(to_flash)) / std::pow(static_cast<double>(to_flash.norm()), 3));
+  const double shadow = kShadowDoubt * static_cast<double>(band.shadow[i]) * std::max(direct, unshadowed - direct) / total_mean;
+  const double brightest = static_cast<double>(std::max({out.albedo[0], out.albedo[1], out.albedo[2]}));
+  const double too_bright = brightest > 1 ? 2 * (1 - 1 / brightest) : 0;
   const double blur = square(c.options.registration_sigma_px * gradient(band, x, y)) + square(0.3 * sd * static_cast<double>(band.spread[i]));
-  out.sigma = static_cast<float>(std::sqrt(noise + 0.25 * blur + square(c.options.floor)));
+  out.sigma = static_cast<float>(std::sqrt(noise + 0.25 * blur + square(shadow) + square(too_bright) + square(c.options.floor)));
   // Lights, normals, gather and part of the blur are the same for all photographs of a surfel: they do not average out.
   const auto terms = static_cast<int>(c.solution.covariance.rows());
   double light = 0;
@@ -149,6 +163,7 @@ AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, con
     put("ambient", [](const PixelAlbedo& p) { return p.ambient; });
     for (const PixelAlbedo& p : pixels) {
       ++stats.pixels;
+      stats.pixels_impossible += p.impossible;
       if (!(p.albedo[1] == p.albedo[1])) continue;
       ++stats.pixels_solved;
       stats.pixels_dark += p.direct < 0.05f;

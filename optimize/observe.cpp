@@ -17,6 +17,7 @@ constexpr float kPi = std::numbers::pi_v<float>;
 constexpr int kBandRows = 256;
 constexpr int kMaxReach = 6;          ///< pixels: a surfel that covers more is sampled at its middle
 constexpr float kRegistrationPx = 0.3f;
+constexpr float kMostShadowDoubt = 0.5f;   ///< nearer to a shadow's edge a pixel tells nothing about the lights
 
 struct Projected {
   std::uint32_t surfel;
@@ -111,7 +112,7 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
         const float du = static_cast<float>(x) + 0.5f - p.u, dv = static_cast<float>(y) + 0.5f - p.v;
         const float w = 1 - std::sqrt(du * du + dv * dv) / (reach + 0.5f);
         const std::size_t i = band.at(x, y);
-        if (w <= 0 || !band.usable(i)) continue;
+        if (w <= 0 || !band.usable(i) || band.shadow[i] > kMostShadowDoubt) continue;
         const Vec3f offset = proxy.position[s] - pixel_point(input.camera, proxy.origin_in_world, x, y, band.depth[i]);
         if (!same_surface(band.normal(i), offset, band.footprint[i], proxy.radius[s], proxy.normal[s])) continue;
         const double wd = static_cast<double>(w), e = static_cast<double>(band.flash[i]), spread = static_cast<double>(band.spread[i]);

@@ -26,9 +26,10 @@ PhotoBand read_band(const stream::RasterReader& radiance, const stream::RasterRe
     band.flash = plane("flash");
     band.spread = plane("spread");
     band.lit = plane("lit");
+    band.shadow = plane("shadow");
   } else {
     band.flash.assign(band.depth.size(), 0.0f);
-    band.spread = band.lit = band.flash;
+    band.spread = band.lit = band.shadow = band.flash;
   }
   return band;
 }

@@ -11,7 +11,7 @@ namespace chiaro::optimize {
 
 struct PhotoBand {
   int y0 = 0, rows = 0, width = 0;
-  std::vector<float> r, g, b, depth, nx, ny, nz, radius, footprint, cosv, coverage, edge, flash, spread, lit;
+  std::vector<float> r, g, b, depth, nx, ny, nz, radius, footprint, cosv, coverage, edge, flash, spread, lit, shadow;
   std::vector<std::uint8_t> mask;   ///< bits: 1 usable, 2 saturated, 4 not finite
   bool has_flash = false;
 
@@ -24,7 +24,7 @@ struct PhotoBand {
 };
 
 PhotoBand read_band(const stream::RasterReader& radiance, const stream::RasterReader& gbuffer, int y0, int rows);
-inline constexpr std::uint64_t kBandBytesPerPixel = 15 * 4 + 1;
+inline constexpr std::uint64_t kBandBytesPerPixel = 16 * 4 + 1;
 
 /// Point that a pixel sees, in the scene frame of `origin_in_world`.
 Vec3f pixel_point(const stream::Camera& camera, const Vec3d& origin_in_world, int x, int y, float depth);

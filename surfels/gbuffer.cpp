@@ -17,20 +17,22 @@ namespace {
 using stream::PlaneType;
 
 constexpr int kBandRows = 64;
+constexpr float kPenumbraReach = 24;   ///< pixels: no shadow's edge is less certain
+constexpr float kCasterSlack = 0.5f;   ///< how well discs tell where a surface ends, in radii
 constexpr int kEdgeReach = 64;  ///< pixels beyond which the distance to an edge does not matter
 
 const std::vector<std::string>& float_planes(bool flash) {
   static const std::vector<std::string> geometry{"depth", "nx", "ny", "nz", "radius", "footprint", "cosv", "coverage"};
   static const std::vector<std::string> with_flash = [] {
     auto all = geometry;
-    all.insert(all.end(), {"flash", "spread", "lit"});
+    all.insert(all.end(), {"flash", "spread", "lit", "penumbra"});
     return all;
   }();
   return flash ? with_flash : geometry;
 }
 
 struct Pixel {
-  float depth = 0, radius = 0, footprint = 0, cosv = 0, coverage = 0, flash = 0, spread = 0, lit = 0;
+  float depth = 0, radius = 0, footprint = 0, cosv = 0, coverage = 0, flash = 0, spread = 0, lit = 0, penumbra = 0;
   Vec3f normal = Vec3f::Zero();
   SurfelId surfel;
 };
@@ -63,6 +65,17 @@ float flash_irradiance(const Shot& shot, const Vec3f& p, const Hit& hit, RayCoun
   return cosine / r2;
 }
 
+/// How far the shadow's edge may lie from where it is found, in pixels: what casts it is known to a part of its sampling only, and the flash throws that
+/// on the pixel's surface magnified.
+float penumbra_px(const Shot& shot, const Vec3f& p, const Hit& hit, float footprint) {
+  const Vec3f to_flash = *shot.flash - p;
+  const float r = to_flash.norm(), cosine = hit.normal.dot(to_flash) / r;
+  Hit caster;
+  if (!shot.tracer.closest(escape_ray(p, hit.normal, hit.radius, to_flash / r, r), caster)) return 0;
+  const float from_flash = std::max(0.02f * r, r - caster.t);
+  return std::min(kPenumbraReach, kCasterSlack * caster.radius * r / (from_flash * std::max(0.2f, cosine) * footprint));
+}
+
 Pixel trace_pixel(const Shot& shot, int column, int row, bool wanted, RayCounts& counts) {
   const int n = wanted ? shot.subpixels : 1;
   Pixel pixel;
@@ -71,6 +84,7 @@ Pixel trace_pixel(const Shot& shot, int column, int row, bool wanted, RayCounts&
   int hits = 0, lit = 0;
   Vec3f normal = Vec3f::Zero();
   float nearest = 1e30f;
+  std::optional<std::pair<Vec3f, Hit>> dark;   // the first hit that faces the flash and lies in shadow
   for (int j = 0; j < n; ++j)
     for (int i = 0; i < n; ++i) {
       const Vec2d at(column + (i + 0.5) / n, row + (j + 0.5) / n);
@@ -92,7 +106,9 @@ Pixel trace_pixel(const Shot& shot, int column, int row, bool wanted, RayCounts&
       }
       if (shot.flash && wanted) {
         bool sees = false;
-        const auto e = static_cast<double>(flash_irradiance(shot, ray.origin + ray.direction * hit.t, hit, counts, sees));
+        const Vec3f p = ray.origin + ray.direction * hit.t;
+        const auto e = static_cast<double>(flash_irradiance(shot, p, hit, counts, sees));
+        if (!sees && !dark && hit.normal.dot(*shot.flash - p) > 0) dark.emplace(p, hit);
         flash += e;
         flash2 += e * e;
         lit += sees;
@@ -108,6 +124,7 @@ Pixel trace_pixel(const Shot& shot, int column, int row, bool wanted, RayCounts&
   pixel.lit = static_cast<float>(lit) / static_cast<float>(hits);
   const double mean = flash / hits, variance = std::max(0.0, flash2 / hits - mean * mean);
   pixel.spread = mean > 0 ? static_cast<float>(std::sqrt(variance) / mean) : 0.0f;
+  if (lit > 0 && dark) pixel.penumbra = penumbra_px(shot, dark->first, dark->second, pixel.footprint);
   return pixel;
 }
 
@@ -130,6 +147,7 @@ void store_band(stream::RasterWriter& out, const std::vector<Pixel>& pixels, int
     put("flash", [](const Pixel& p) { return p.flash; });
     put("spread", [](const Pixel& p) { return p.spread; });
     put("lit", [](const Pixel& p) { return p.lit; });
+    put("penumbra", [](const Pixel& p) { return p.penumbra; });
   }
   std::vector<std::uint32_t> chunk(n);
   std::vector<std::uint16_t> slot(n);
@@ -326,6 +344,44 @@ std::vector<float> edge_distance(const std::vector<std::uint8_t>& edge, int widt
   return result;
 }
 
+/// Around each pixel that a shadow's edge crosses, as far as the edge is uncertain: 1 on the edge, falling to 0.
+std::vector<float> shadow_doubt(const std::vector<float>& penumbra, int width, int first, int y0, int rows) {
+  struct EdgePixel {
+    int x, y;
+    float reach;
+  };
+  std::vector<EdgePixel> edges;
+  for (std::size_t i = 0; i < penumbra.size(); ++i)
+    if (penumbra[i] > 0) edges.push_back({static_cast<int>(i) % width, first + static_cast<int>(i) / width, penumbra[i] + 1});
+  std::vector<float> doubt(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width), 0.0f);
+  parallel_blocks(static_cast<std::size_t>(rows), 8, [&](std::size_t b, std::size_t e) {
+    for (std::size_t r = b; r < e; ++r) {
+      float* row = doubt.data() + r * static_cast<std::size_t>(width);
+      const int y = y0 + static_cast<int>(r), most = static_cast<int>(kPenumbraReach) + 1;
+      const auto from = std::lower_bound(edges.begin(), edges.end(), y - most, [](const EdgePixel& p, int v) { return p.y < v; });
+      for (auto p = from; p != edges.end() && p->y <= y + most; ++p) {
+        const auto dy = static_cast<float>(y - p->y);
+        const float half2 = p->reach * p->reach - dy * dy;
+        if (half2 <= 0) continue;
+        const int half = static_cast<int>(std::sqrt(half2));
+        for (int x = std::max(0, p->x - half); x <= std::min(width - 1, p->x + half); ++x) {
+          const auto dx = static_cast<float>(x - p->x);
+          row[x] = std::max(row[x], 1 - std::sqrt(dx * dx + dy * dy) / p->reach);
+        }
+      }
+    }
+  });
+  return doubt;
+}
+
+void write_shadow_doubt(stream::RasterWriter& out) {
+  const int height = out.height(), halo = static_cast<int>(kPenumbraReach) + 1;
+  for (int y0 = 0; y0 < height; y0 += 4 * kBandRows) {
+    const int rows = std::min(4 * kBandRows, height - y0), first = std::max(0, y0 - halo), last = std::min(height, y0 + rows + halo);
+    out.write_rows<float>("shadow", y0, shadow_doubt(out.read_back<float>("penumbra", first, last - first), out.width(), first, y0, rows));
+  }
+}
+
 void write_edge_distance(stream::RasterWriter& out, const stream::Camera& camera) {
   const int height = out.height();
   const Mat3d world_from_camera = camera.pose.rotation_camera_from_world.transpose();
@@ -349,12 +405,14 @@ GBufferStats write_gbuffer(const stream::Store& store, const stream::Camera& cam
   planes.push_back({"chunk", PlaneType::kU32});
   planes.push_back({"slot", PlaneType::kU16});
   planes.push_back({"edge", PlaneType::kF32});
+  if (options.flash_in_camera) planes.push_back({"shadow", PlaneType::kF32});
   const int width = camera.lens.width_px, height = camera.lens.height_px;
   report.begin(concat("raycast ", camera.photograph), static_cast<std::uint64_t>(height), "rows");
   stream::RasterWriter out(out_path, width, height, planes);
   Caster caster(store, camera, options, out, budget, report);
   caster.run(0, height);
   write_edge_distance(out, camera);
+  if (options.flash_in_camera) write_shadow_doubt(out);
   out.commit();
   GBufferStats stats = caster.stats;
   report.end();

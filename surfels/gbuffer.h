@@ -40,6 +40,8 @@ struct GBufferStats {
 ///   flash f32      mean over the rays of visibility * cos / r^2, 1/unit^2; rays that miss do not count
 ///   spread f32     standard deviation of that over its mean
 ///   lit f32        share of the rays that see the flash
+///   penumbra f32   where a cast shadow's edge crosses the pixel: how far the edge may lie off, pixels; else 0
+///   shadow f32     doubt whether the pixel is lit: 1 on a cast shadow's edge, falling to 0 as far away as the edge may lie
 /// throws Error, Cancelled. Same bytes for any thread count and any number of tiles.
 GBufferStats write_gbuffer(const stream::Store& store, const stream::Camera& camera, const GBufferOptions& options,
                            const std::filesystem::path& out, MemoryBudget& budget, Reporter& report);

@@ -28,6 +28,7 @@ namespace chiaro::surfels {
 namespace {
 
 using stream::Chunk;
+using stream::DiscClip;
 using stream::SurfelBlock;
 
 /// Discs that a ray meets at most this far behind the first one, in radii of the first one measured along its normal, are blended with it.
@@ -37,6 +38,7 @@ constexpr float kSlabMinCosine = 0.25f;
 /// Shadow rays use a slightly smaller disc: radii are stored with a margin of a tenth, so coverage stays whole and edges overhang less.
 constexpr float kShadowRho2 = 0.83f;
 constexpr int kMaxCandidates = 64;
+constexpr float kClippedAway = 1e30f;
 
 const std::array<float, 256>& radius2_table() {
   static const std::array<float, 256> table = [] {
@@ -72,9 +74,16 @@ CHIARO_CLONES void intersect_lanes(const SurfelBlock& block, const float* radius
                                    LaneHits& hits) {
   const float ox = origin[0], oy = origin[1], oz = origin[2], dx = direction[0], dy = direction[1], dz = direction[2];
   alignas(64) float r2[16];
+  alignas(64) int clip[16];
+  alignas(64) float e[3][16], n[3][16];
+  int clipped = 0;
   for (int i = 0; i < 16; ++i) r2[i] = (block.flags[i] & SurfelBlock::kPadding) ? 0.0f : radius2[block.log_radius[i]] * radius2_max;
   for (int i = 0; i < 16; ++i) {
-    const float u = static_cast<float>(block.normal_u[i]) * (1.0f / 32767.0f), v = static_cast<float>(block.normal_v[i]) * (1.0f / 32767.0f);
+    clip[i] = (block.normal_u[i] & 15) << 8 | (block.normal_v[i] & 15) << 4 | block.flags[i] >> 4;
+    clipped |= clip[i];
+  }
+  for (int i = 0; i < 16; ++i) {
+    const float u = static_cast<float>(block.normal_u[i] & ~15) * (1.0f / 32752.0f), v = static_cast<float>(block.normal_v[i] & ~15) * (1.0f / 32752.0f);
     const float nz = 1.0f - std::fabs(u) - std::fabs(v);
     const float fold = nz < 0.0f ? -nz : 0.0f;
     const float nx = u + (u >= 0.0f ? -fold : fold), ny = v + (v >= 0.0f ? -fold : fold);
@@ -85,6 +94,18 @@ CHIARO_CLONES void intersect_lanes(const SurfelBlock& block, const float* radius
     const float ex = t * dx - cx, ey = t * dy - cy, ez = t * dz - cz;
     hits.t[i] = t;
     hits.rho2[i] = (ex * ex + ey * ey + ez * ez) / r2[i];
+    e[0][i] = ex, e[1][i] = ey, e[2][i] = ez;
+    n[0][i] = std::fabs(nx), n[1][i] = std::fabs(ny), n[2][i] = std::fabs(nz);
+  }
+  if (clipped == 0) return;
+  // The clip line, see stream::DiscClip: two triangle waves around the diamond.
+  for (int i = 0; i < 16; ++i) {
+    const float turn = static_cast<float>(clip[i] >> 5) * (4.0f / DiscClip::kDirections), quarter = turn >= 1.0f ? turn - 1.0f : turn + 3.0f;
+    const float u = std::fabs(turn - 2.0f) - 1.0f, v = std::fabs(quarter - 2.0f) - 1.0f;
+    const bool z = (n[2][i] >= n[0][i]) & (n[2][i] >= n[1][i]), y = n[1][i] >= n[0][i];
+    const float a = z ? e[0][i] : y ? e[2][i] : e[1][i], b = z ? e[1][i] : y ? e[0][i] : e[2][i];
+    const float away = static_cast<float>((clip[i] & 31) - 1) * (1.0f / DiscClip::kDistances) * std::sqrt(r2[i]);
+    hits.rho2[i] = ((clip[i] & 31) != 0) & (u * a + v * b > away) ? kClippedAway : hits.rho2[i];
   }
 }
 

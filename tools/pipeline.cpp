@@ -407,7 +407,7 @@ class Pipeline {
         const optimize::AlbedoStats s = optimize::solve_albedo(*scene, observe_input(photo), shoot.lights.lights[shoot.lights.light_of_photograph[k]], flash,
                                                                optimize::gathered_path(folder, k), options, raster, report_);
         optimize::write_albedo_pictures(raster, pictures);
-        return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"median_sigma", s.median_sigma}};
+        return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
       });
       record_.count("pixels_solved", info["pixels_solved"]);
     }

@@ -5,9 +5,20 @@
 namespace chiaro::stream {
 namespace {
 
-// Signed normalised 16 bits: -32767 .. 32767, so that 0 and +-1 are exact.
-std::int16_t to_snorm(float v) { return static_cast<std::int16_t>(std::lround(std::clamp(v, -1.0f, 1.0f) * 32767.0f)); }
+// Signed normalised 12 bits in the upper ones of 16: 16 * (-2047 .. 2047), so that 0 and +-1 are exact.
+constexpr float kSnorm = 32752.0f;
+std::int16_t to_snorm(float v) { return static_cast<std::int16_t>(16 * std::lround(std::clamp(v, -1.0f, 1.0f) * 2047.0f)); }
 float sign_of(float v) { return v >= 0 ? 1.0f : -1.0f; }
+
+Vec3f octahedron(std::int16_t qu, std::int16_t qv) {
+  const float u = static_cast<float>(std::max(-32752, qu & ~15)) / kSnorm, v = static_cast<float>(std::max(-32752, qv & ~15)) / kSnorm;
+  Vec3f n(u, v, 1 - std::abs(u) - std::abs(v));
+  if (n.z() < 0) {
+    n.x() = (1 - std::abs(v)) * sign_of(u);
+    n.y() = (1 - std::abs(u)) * sign_of(v);
+  }
+  return n;
+}
 
 }  // namespace
 
@@ -24,14 +35,32 @@ std::array<std::int16_t, 2> encode_normal(const Vec3f& n) {
 }
 
 Vec3f decode_normal(std::int16_t qu, std::int16_t qv) {
-  const float u = std::max(-1.0f, static_cast<float>(qu) / 32767.0f);
-  const float v = std::max(-1.0f, static_cast<float>(qv) / 32767.0f);
-  Vec3f n(u, v, 1 - std::abs(u) - std::abs(v));
-  if (n.z() < 0) {
-    n.x() = (1 - std::abs(v)) * sign_of(u);
-    n.y() = (1 - std::abs(u)) * sign_of(v);
-  }
+  const Vec3f n = octahedron(qu, qv);
   return n / n.norm();
+}
+
+std::uint16_t encode_clip(std::int16_t normal_u, std::int16_t normal_v, const Vec3f& across, float distance, float radius) {
+  const Vec3f n = octahedron(normal_u, normal_v), size = n.cwiseAbs();
+  const int dominant = size.z() >= size.x() && size.z() >= size.y() ? 2 : size.y() >= size.x() ? 1 : 0;
+  const int a = (dominant + 1) % 3, b = (dominant + 2) % 3;
+  // In the disc's plane the dominant coordinate follows from the two others.
+  const float h_a = across[a] - across[dominant] * n[a] / n[dominant], h_b = across[b] - across[dominant] * n[b] / n[dominant];
+  const float sum = std::abs(h_a) + std::abs(h_b), relative = std::max(0.0f, distance) / (sum * radius);
+  if (!(relative <= 1)) return 0;
+  const float turn = h_b >= 0 ? 1 - h_a / sum : 3 + h_a / sum;   // 0 .. 4 around the diamond
+  const auto direction = static_cast<unsigned>(std::lround(turn * DiscClip::kDirections / 4)) % DiscClip::kDirections;
+  const auto away = static_cast<unsigned>(std::ceil(relative * DiscClip::kDistances));
+  return static_cast<std::uint16_t>(direction << 5 | (away + 1));
+}
+
+void put_clip(SurfelBlock& block, std::size_t lane, std::uint16_t code) {
+  block.normal_u[lane] = static_cast<std::int16_t>((block.normal_u[lane] & ~15) | (code >> 8 & 15));
+  block.normal_v[lane] = static_cast<std::int16_t>((block.normal_v[lane] & ~15) | (code >> 4 & 15));
+  block.flags[lane] = static_cast<std::uint8_t>((block.flags[lane] & SurfelBlock::kFlags) | (code & 15) << 4);
+}
+
+std::uint16_t clip_of(const SurfelBlock& block, std::size_t lane) {
+  return static_cast<std::uint16_t>((block.normal_u[lane] & 15) << 8 | (block.normal_v[lane] & 15) << 4 | block.flags[lane] >> 4);
 }
 
 std::uint8_t encode_radius(float radius, float radius_max) {
@@ -49,7 +78,7 @@ Surfel decode_surfel(const SurfelBlock& block, int lane, const ChunkFrame& frame
   s.position_in_world = frame.origin_in_world + frame.step * Vec3d(block.x[i] + 0.5, block.y[i] + 0.5, block.z[i] + 0.5);
   s.normal = decode_normal(block.normal_u[i], block.normal_v[i]);
   s.radius = decode_radius(block.log_radius[i], frame.radius_max);
-  s.flags = block.flags[i];
+  s.flags = block.flags[i] & SurfelBlock::kFlags;
   return s;
 }
 

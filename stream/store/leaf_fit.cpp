@@ -139,6 +139,8 @@ void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report) {
       for (std::uint32_t slot = own.first_slot[i]; slot < own.first_slot[i + 1]; ++slot) {
         SurfelBlock& b = blocks[slot / 16];
         b.log_radius[slot % 16] = code;
+        const bool whole = fits[i].clip_across.isZero();
+        put_clip(b, slot % 16, whole ? std::uint16_t{0} : encode_clip(b.normal_u[slot % 16], b.normal_v[slot % 16], fits[i].clip_across, fits[i].clip_distance, fits[i].radius));
         if (fits[i].outlier) b.flags[slot % 16] = static_cast<std::uint8_t>(b.flags[slot % 16] | SurfelBlock::kIsolated);
       }
     }

@@ -117,7 +117,7 @@ std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const Chun
     c.y[i] = (static_cast<float>(q[1]) + 0.5f) * step;
     c.z[i] = (static_cast<float>(q[2]) + 0.5f) * step;
     c.normal[i] = {blocks[slot / 16].normal_u[slot % 16], blocks[slot / 16].normal_v[slot % 16]};
-    c.flags[i] = blocks[slot / 16].flags[slot % 16];
+    c.flags[i] = blocks[slot / 16].flags[slot % 16] & SurfelBlock::kFlags;
   }
   build_levels(c);
   return chunk;

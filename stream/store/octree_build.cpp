@@ -17,7 +17,7 @@ namespace chiaro::stream {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr int kAlgorithmVersion = 1;      // part of the key: raise when the same input gives another store
+constexpr int kAlgorithmVersion = 2;      // part of the key: raise when the same input gives another store
 constexpr std::size_t kBlockPoints = 65536;
 constexpr double kMaxCoordinate = 1e9;    // project units
 constexpr std::uint64_t kMaxPoints = std::uint64_t{1} << 40;

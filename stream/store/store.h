@@ -36,7 +36,7 @@ struct ChunkEntry {
 };
 
 struct Manifest {
-  int format_version = 1;
+  int format_version = 2;
   std::string unit = "m";
   Vec3d origin_in_world = Vec3d::Zero();  ///< lower corner of the root cell
   double edge = 1;                        ///< of the root cell

@@ -8,7 +8,7 @@
 
 namespace chiaro::stream {
 
-inline constexpr int kFormatVersion = 1;
+inline constexpr int kFormatVersion = 2;
 inline constexpr std::uint64_t kChunkAlignment = 4096;
 inline constexpr std::uint64_t kSourceBytes = 5;  ///< a source index: 32 low bits (plane), 8 high bits (plane)
 inline constexpr std::uint32_t kNoParent = 0xffffffffu;

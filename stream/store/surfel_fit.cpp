@@ -539,7 +539,11 @@ class RadiusFitter {
     if (!last && list.size() >= 3 && is_line(list)) return false;
     const float mean = mean_distance(list.nearest_squared);
     if (is_outlier(i, list)) fits_[i] = {std::min(mean, options_.lone_radius), mean, true};
-    else fits_[i] = {fit(i, list, c), mean, false};
+    else {
+      fits_[i].mean_of_nearest = mean;
+      if (!(own_.flags[i] & SurfelBlock::kIsolated)) clip_at_edge(i, list, c);
+      fits_[i].radius = fit(i, list, c);
+    }
     return true;
   }
 
@@ -611,6 +615,59 @@ class RadiusFitter {
     }
   };
 
+  // The nearest other face: the plane through those neighbours, within kEdgeReach mean distances, whose normals agree with the nearest one's that is turned
+  // away from the point's. The disc ends where it meets that plane, unless its own face goes on behind it.
+  void clip_at_edge(std::uint32_t i, const NeighbourList& list, const Candidates& c) {
+    constexpr float kEdgeReach = 2.2f, kOtherFace = 0.82f, kSameFace = 0.9f, kBehind = 0.6f, kMargin = 0.1f;
+    const float mean = fits_[i].mean_of_nearest;
+    const Vec3f normal = decode_normal(own_.normal[i][0], own_.normal[i][1]);
+    const float reach = kEdgeReach * mean, reach2 = reach * reach;
+    std::size_t nearest = list.size();
+    for (std::size_t k = 0; k < list.size(); ++k) {
+      if (list.distance_squared[k] > reach2 || (nearest < list.size() && list.distance_squared[k] >= list.distance_squared[nearest])) continue;
+      if (std::abs(normal.dot(normal_of(list, k, c))) < kOtherFace) nearest = k;
+    }
+    if (nearest == list.size()) return;
+    const Vec3f first = normal_of(list, nearest, c);
+    Vec3f other = Vec3f::Zero(), at = Vec3f::Zero(), own_side = Vec3f::Zero();
+    float weight = 0;
+    for (std::size_t k = 0; k < list.size(); ++k) {
+      if (list.distance_squared[k] > reach2) continue;
+      const Vec3f n = normal_of(list, k, c);
+      const float cosine = n.dot(first);
+      if (std::abs(cosine) > kSameFace && std::abs(normal.dot(n)) < kOtherFace) {
+        const float w = std::exp(-list.distance_squared[k] / (mean * mean));
+        other += (cosine < 0 ? -w : w) * n;
+        at += w * list.offset(k);
+        weight += w;
+      }
+      if (std::abs(normal.dot(n)) > kSameFace) own_side += list.offset(k);
+    }
+    at /= weight;
+    other.normalize();
+    Vec3f across = other - other.dot(normal) * normal;
+    const float length = across.norm();
+    if (!(length > 0.3f)) return;
+    float distance = other.dot(at) / length;
+    across /= length;
+    if (own_side.dot(across) > 0) {
+      across = -across;
+      distance = -distance;
+    }
+    if (distance < -kBehind * mean) return;
+    int behind = 0;
+    for (std::size_t k = 0; k < list.size(); ++k)
+      behind += list.distance_squared[k] <= reach2 && std::abs(normal.dot(normal_of(list, k, c))) > kSameFace && list.offset(k).dot(across) > distance + kBehind * mean;
+    if (behind > 1) return;
+    fits_[i].clip_across = across;
+    fits_[i].clip_distance = std::max(0.0f, distance) + kMargin * mean;
+  }
+
+  static Vec3f normal_of(const NeighbourList& list, std::size_t k, const Candidates& c) {
+    const std::uint32_t j = list.candidate[k];
+    return decode_normal(c.normal[j][0], c.normal[j][1]);
+  }
+
   float fit(std::uint32_t i, const NeighbourList& list, const Candidates& c) {
     const float mean = mean_distance(list.nearest_squared);
     if (list.size() == 0) return options_.lone_radius;
@@ -621,11 +678,17 @@ class RadiusFitter {
     project(face, list);
     TangentCell cell = cell_of(face, list, c, scale, false);
     if (!cell.bounded() && few_on_face(face, list, c)) cell = cell_of(face, list, c, scale, true);
+    const Vec3f& across_edge = fits_[i].clip_across;
+    const Vec3f axis = across(face.normal);
+    const float edge_u = axis.dot(across_edge), edge_v = face.normal.cross(axis).dot(across_edge), edge_distance = fits_[i].clip_distance;
+    const bool clipped = !across_edge.isZero() && cell.cuts(edge_u, edge_v, edge_distance);
+    if (clipped) cell.clip(edge_u, edge_v, edge_distance);
     float within = 0;   // the farthest corner that lies inside the surface
     bool open = false;
     cell.for_corners([&](float x, float y) {
       const float d = std::sqrt(x * x + y * y);
-      if (d <= scale || is_inside(x / d, y / d, d)) within = std::max(within, d);
+      const bool on_edge = clipped && d <= 2 * scale && edge_u * x + edge_v * y > edge_distance - 0.01f * scale;
+      if (d <= scale || on_edge || is_inside(x / d, y / d, d)) within = std::max(within, d);
       else open = true;
     });
     if (!open) return std::min(1.1f * within, 3 * scale);

@@ -28,6 +28,8 @@ struct RadiusFit {
   float radius = 0;
   float mean_of_nearest = 0;     ///< mean distance of the (up to) 6 nearest
   bool outlier = false;          ///< off a surface that is sampled much more densely than its own surroundings
+  Vec3f clip_across = Vec3f::Zero();  ///< unit vector in the disc's plane towards the edge where the disc ends; 0 = no edge near
+  float clip_distance = 0;            ///< of the edge from the centre
 };
 
 /// Normal of the plane through the neighbours and the point, for every distinct position of the chunk; it points away from their centroid. Fitted at
@@ -36,6 +38,7 @@ void fit_normals_of(Neighbourhood& around, const FitOptions& options, std::vecto
 
 /// Radius of the disc that covers the point's Voronoi cell in its tangent plane, for every distinct position of the chunk. Neighbours bound the cell by
 /// the plane half-way to them; those on another face (normals more than 60 degrees apart, or far off the plane) do not, unless too few others exist.
+/// Where another face begins beside the point, the disc ends at the line in which the two planes meet.
 /// Points on a border, whose cell is open, get at most 1 and others at most 3 mean distances of their nearest; outliers no more than lone_radius.
 void fit_radii_of(Neighbourhood& around, const FitOptions& options, std::vector<RadiusFit>& fits);
 

@@ -90,6 +90,35 @@ TEST_F(GBuffer, MarksDepthEdgesAndNotCreases) {
   EXPECT_GT(edge[32 * 64 + 32], 10);
 }
 
+// A small plate near the flash throws a large shadow: its edge is as uncertain as the plate's own, magnified.
+TEST_F(GBuffer, DoubtsTheEdgesOfShadows) {
+  auto points = tests::square_points(300, 6.0, {0, 0, 0}, {0, 0, 1}, 1);
+  const auto plate = tests::square_points(20, 0.4, {2.0, 0, 1.5}, {0, 0, 1}, 2);
+  points.insert(points.end(), plate.begin(), plate.end());
+  const stream::Store store = tests::build_test_store(points, folder.path());
+  const stream::Camera camera = camera_above(4, 128, 128, 100);
+  GBufferOptions options;
+  options.flash_in_camera = Vec3d(3.0, 0, 2.0);   // at (3, 0, 2): the plate's shadow runs over x from -4.2 .. -0.6, y +-0.8 on the ground
+  write_gbuffer(store, camera, options, folder.path() / "g.raster", budget, silent_reporter());
+  const stream::RasterReader g(folder.path() / "g.raster");
+  const auto lit = g.all<float>("lit"), doubt = g.all<float>("shadow"), penumbra = g.all<float>("penumbra");
+  // On the line x = -1.2: the shadow is cast from (1.95, +-0.2, 1.5), a quarter of the way: its edges lie at y = +-0.8, 20 pixels from the middle row.
+  const int column = 64 - 30;
+  int edge = 0;
+  for (int y = 64; y < 127; ++y)
+    if (lit[static_cast<std::size_t>(y) * 128 + static_cast<std::size_t>(column)] < 0.5f) edge = y + 1;
+  EXPECT_NEAR(edge, 64 + 20, 3);
+  float widest = 0;
+  for (int y = edge - 2; y <= edge + 1; ++y) widest = std::max(widest, penumbra[static_cast<std::size_t>(y) * 128 + static_cast<std::size_t>(column)]);
+  EXPECT_GT(widest, 0.7f * 0.5f * 0.02f * 4 / 0.04f);   // half a spacing of 2 cm, four times magnified, on pixels of 4 cm
+  EXPECT_LT(widest, 24);
+  const auto at = [&](int y) { return doubt[static_cast<std::size_t>(y) * 128 + static_cast<std::size_t>(column)]; };
+  EXPECT_GT(std::max(at(edge), at(edge - 1)), 0.6f);
+  EXPECT_GT(at(edge - 1), at(edge - 1 - static_cast<int>(widest)));
+  EXPECT_EQ(at(126), 0.0f);
+  EXPECT_EQ(doubt[64 * 128 + 120], 0.0f);
+}
+
 TEST_F(GBuffer, SaysWhenTheBudgetCannotHoldOneBand) {
   const stream::Store store = tests::build_test_store(tests::sphere_points(300000, 1.0, {0, 0, -1}, false), folder.path());
   MemoryBudget small(300000);

@@ -67,6 +67,32 @@ TEST(Tracer, LetsNoRayOutOfASphere) {
   EXPECT_LT(worst, 1e-3);   // sagitta of a disc of this radius is 1e-4
 }
 
+// The edge of a table: discs of its top reach over it no further than a fraction of the spacing, and the edge itself is closed.
+TEST(Tracer, DiscsEndAtAnEdge) {
+  const ScratchFolder folder;
+  auto points = square_points(60, 2.0, {0, 0, 0}, {0, 0, 1}, 1);
+  for (const Vec3d& side : {Vec3d(1, 0, 0), Vec3d(-1, 0, 0), Vec3d(0, 1, 0), Vec3d(0, -1, 0)}) {
+    const auto more = square_points(60, 2.0, side - Vec3d(0, 0, 1), side, 2);
+    points.insert(points.end(), more.begin(), more.end());
+  }
+  const stream::Store store = build_test_store(points, folder.path());
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, {0, 0, 0});
+  const float spacing = 2.0f / 60;
+  int over = 0, slipped = 0;
+  const int n = 2000;
+  for (int i = 0; i < n; ++i) {
+    const float y = 1.8f * (static_cast<float>(i) + 0.5f) / n - 0.9f;
+    Hit hit;
+    over += tracer.closest({{1 + 0.3f * spacing, y, 2}, {0, 0, -1}, 0, 2.5f}, hit);
+    over += tracer.occluded({{1 + 0.3f * spacing, y, 2}, {0, 0, -1}, 0, 2.5f});
+    const Vec3f down = Vec3f(-1, 0, -1).normalized();
+    slipped += !tracer.closest({Vec3f(1, y, 0) - 2 * down, down, 0, 2.2f}, hit);
+  }
+  EXPECT_LT(over, 2 * n / 20);
+  EXPECT_EQ(slipped, 0);
+}
+
 TEST(Tracer, DoesNotDependOnTheOrderOfChunks) {
   const ScratchFolder folder;
   const stream::Store store = build_test_store(sphere_points(200000, 1.0, {0, 0, 0}, false), folder.path());

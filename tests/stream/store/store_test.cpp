@@ -121,7 +121,7 @@ TEST_F(StoreFiles, AManifestThatCannotBeTrueIsAnError) {
   const Manifest good = read_manifest(manifest_path(path_));
   const std::vector<std::function<void(Manifest&)>> attacks = {
       [](Manifest& m) { m.points_stored += 1; },  [](Manifest& m) { m.points_read += 1; },          [](Manifest& m) { m.surfels_inner -= 1; },
-      [](Manifest& m) { m.edge = -1; },           [](Manifest& m) { m.source_points[0] -= 1; },     [](Manifest& m) { m.format_version = 2; },
+      [](Manifest& m) { m.edge = -1; },           [](Manifest& m) { m.source_points[0] -= 1; },     [](Manifest& m) { m.format_version = 3; },
       [](Manifest& m) { m.origin_in_world.x() = NAN; }};
   for (std::size_t i = 0; i < attacks.size(); ++i) {
     Manifest bad = good;
