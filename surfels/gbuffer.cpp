@@ -76,56 +76,99 @@ float penumbra_px(const Shot& shot, const Vec3f& p, const Hit& hit, float footpr
   return std::min(kPenumbraReach, kCasterSlack * caster.radius * r / (from_flash * std::max(0.2f, cosine) * footprint));
 }
 
+/// Sums over the rays of a pixel.
+class PixelSum {
+ public:
+  PixelSum(const Shot& shot, int column, int row, bool wanted, RayCounts& counts) : shot_(shot), column_(column), row_(row), wanted_(wanted), counts_(counts) {}
+
+  void trace(int i, int j, int n) {
+    ++rays_;
+    const Vec2d at(column_ + (i + 0.5) / n, row_ + (j + 0.5) / n);
+    const auto direction = stream::unproject(shot_.camera.lens, at);
+    if (!direction) return;
+    const Ray ray{shot_.eye, (shot_.world_from_camera * direction->cast<float>()).normalized(), 0, 1e30f};
+    Hit hit;
+    ++counts_.primary;
+    if (!shot_.tracer.closest(ray, hit)) return;
+    const Vec3f p = ray.origin + ray.direction * hit.t;
+    if (hits_++ == 0) {
+      first_ = p;
+      first_normal_ = hit.normal;
+    }
+    off_plane_ = std::max(off_plane_, std::fabs(first_normal_.dot(p - first_)));
+    least_cosine_ = std::min(least_cosine_, first_normal_.dot(hit.normal));
+    depth_ += static_cast<double>(hit.t);
+    normal_ += hit.normal;
+    pixel_.cosv -= hit.normal.dot(ray.direction);
+    const auto off = static_cast<float>((at - Vec2d(column_ + 0.5, row_ + 0.5)).squaredNorm());
+    if (off < nearest_) {
+      nearest_ = off;
+      pixel_.surfel = hit.surfel;
+      pixel_.radius = hit.radius;
+    }
+    if (!shot_.flash || !wanted_) return;
+    bool sees = false;
+    const auto e = static_cast<double>(flash_irradiance(shot_, p, hit, counts_, sees));
+    if (!sees && !dark_ && hit.normal.dot(*shot_.flash - p) > 0) dark_.emplace(p, hit);
+    flash_ += e;
+    flash2_ += e * e;
+    lit_ += sees;
+  }
+
+  /// More rays would tell the same: one plane, all in light or all in shadow.
+  bool even() const {
+    if (hits_ == 0) return true;
+    if (hits_ < rays_ || (lit_ > 0 && lit_ < hits_)) return false;
+    const double mean = flash_ / hits_;
+    return least_cosine_ > kEvenCosine && off_plane_ < 0.5f * static_cast<float>(depth_ / hits_) / shot_.focal_px && flash2_ / hits_ - mean * mean <= kEvenSpread * kEvenSpread * mean * mean;
+  }
+
+  Pixel result() {
+    if (hits_ == 0) return {};
+    pixel_.depth = static_cast<float>(depth_ / hits_);
+    pixel_.normal = normal_.normalized();
+    pixel_.cosv /= static_cast<float>(hits_);
+    pixel_.coverage = static_cast<float>(hits_) / static_cast<float>(rays_);
+    pixel_.footprint = pixel_.depth / shot_.focal_px;
+    pixel_.flash = static_cast<float>(flash_ / hits_);
+    pixel_.lit = static_cast<float>(lit_) / static_cast<float>(hits_);
+    const double mean = flash_ / hits_, variance = std::max(0.0, flash2_ / hits_ - mean * mean);
+    pixel_.spread = mean > 0 ? static_cast<float>(std::sqrt(variance) / mean) : 0.0f;
+    if (lit_ > 0 && dark_) pixel_.penumbra = penumbra_px(shot_, dark_->first, dark_->second, pixel_.footprint);
+    return pixel_;
+  }
+
+ private:
+  static constexpr float kEvenCosine = 0.98f;
+  static constexpr double kEvenSpread = 0.04;
+
+  const Shot& shot_;
+  int column_, row_;
+  bool wanted_;
+  RayCounts& counts_;
+  Pixel pixel_;
+  int rays_ = 0, hits_ = 0, lit_ = 0;
+  double depth_ = 0, flash_ = 0, flash2_ = 0;
+  Vec3f normal_ = Vec3f::Zero(), first_ = Vec3f::Zero(), first_normal_ = Vec3f::Zero();
+  float off_plane_ = 0, least_cosine_ = 1, nearest_ = 1e30f;
+  std::optional<std::pair<Vec3f, Hit>> dark_;   ///< the first hit that faces the flash and lies in shadow
+};
+
+/// One ray in each row and each column of the 4x4 grid: enough where the pixel is even.
+constexpr std::array<int, 4> kFirstColumn{1, 3, 0, 2};
+
 Pixel trace_pixel(const Shot& shot, int column, int row, bool wanted, RayCounts& counts) {
   const int n = wanted ? shot.subpixels : 1;
-  Pixel pixel;
-  const Vec2d middle(column + 0.5, row + 0.5);
-  double depth = 0, flash = 0, flash2 = 0;
-  int hits = 0, lit = 0;
-  Vec3f normal = Vec3f::Zero();
-  float nearest = 1e30f;
-  std::optional<std::pair<Vec3f, Hit>> dark;   // the first hit that faces the flash and lies in shadow
+  PixelSum sum(shot, column, row, wanted, counts);
+  const bool adaptive = n == 4;
+  if (adaptive) {
+    for (int j = 0; j < 4; ++j) sum.trace(kFirstColumn[static_cast<std::size_t>(j)], j, n);
+    if (sum.even()) return sum.result();
+  }
   for (int j = 0; j < n; ++j)
-    for (int i = 0; i < n; ++i) {
-      const Vec2d at(column + (i + 0.5) / n, row + (j + 0.5) / n);
-      const auto direction = stream::unproject(shot.camera.lens, at);
-      if (!direction) continue;
-      const Ray ray{shot.eye, (shot.world_from_camera * direction->cast<float>()).normalized(), 0, 1e30f};
-      Hit hit;
-      ++counts.primary;
-      if (!shot.tracer.closest(ray, hit)) continue;
-      ++hits;
-      depth += static_cast<double>(hit.t);
-      normal += hit.normal;
-      pixel.cosv -= hit.normal.dot(ray.direction);
-      const float off = static_cast<float>((at - middle).squaredNorm());
-      if (off < nearest) {
-        nearest = off;
-        pixel.surfel = hit.surfel;
-        pixel.radius = hit.radius;
-      }
-      if (shot.flash && wanted) {
-        bool sees = false;
-        const Vec3f p = ray.origin + ray.direction * hit.t;
-        const auto e = static_cast<double>(flash_irradiance(shot, p, hit, counts, sees));
-        if (!sees && !dark && hit.normal.dot(*shot.flash - p) > 0) dark.emplace(p, hit);
-        flash += e;
-        flash2 += e * e;
-        lit += sees;
-      }
-    }
-  if (hits == 0) return pixel;
-  pixel.depth = static_cast<float>(depth / hits);
-  pixel.normal = normal.normalized();
-  pixel.cosv /= static_cast<float>(hits);
-  pixel.coverage = static_cast<float>(hits) / static_cast<float>(n * n);
-  pixel.footprint = pixel.depth / shot.focal_px;
-  pixel.flash = static_cast<float>(flash / hits);
-  pixel.lit = static_cast<float>(lit) / static_cast<float>(hits);
-  const double mean = flash / hits, variance = std::max(0.0, flash2 / hits - mean * mean);
-  pixel.spread = mean > 0 ? static_cast<float>(std::sqrt(variance) / mean) : 0.0f;
-  if (lit > 0 && dark) pixel.penumbra = penumbra_px(shot, dark->first, dark->second, pixel.footprint);
-  return pixel;
+    for (int i = 0; i < n; ++i)
+      if (!adaptive || i != kFirstColumn[static_cast<std::size_t>(j)]) sum.trace(i, j, n);
+  return sum.result();
 }
 
 void store_band(stream::RasterWriter& out, const std::vector<Pixel>& pixels, int y0, bool flash) {
