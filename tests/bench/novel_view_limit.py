@@ -1,0 +1,83 @@
+#!/usr/bin/env python3
+"""How well a cloud of points can show a new view at all, beside how well `chiaro render` does.
+
+usage: python3 tests/bench/novel_view_limit.py SCENE RENDERED DIRECT      (needs numpy, scipy, OpenEXR and pillow from PyPI)
+SCENE: a rendered scene with truth/ and novel/. RENDERED, DIRECT: folders of `chiaro render` for novel/views.toml, the latter with --direct.
+
+The limit of a view takes, for each pixel, the true surface point (truth/NAME_depth.exr) and blends the true albedo and the true normals of the nearest
+points of the cloud there; whether the flash reaches the point is chosen after the fact, whichever comes closer to the photograph; ambient and bounced light
+are those of the rendering. What it still misses lies between the points: paint edges and relief finer than the sampling. "albedo only" even takes the
+shading from the photograph, so that it misses nothing but the albedo between the points. Several widths of the blend are tried, the best is printed.
+"""
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from PIL import Image
+from scipy.spatial import cKDTree
+
+
+def exr(path):
+    channels = {name: np.asarray(c.pixels, dtype=float) for name, c in OpenEXR.File(str(path)).channels().items()}
+    return channels["RGB"] if "RGB" in channels else np.stack([channels[c] for c in "RGB"], -1) if "R" in channels else next(iter(channels.values()))
+
+
+def read_cloud(scene):
+    data = (scene / "cloud.ply").read_bytes()
+    start = data.index(b"end_header\n") + 11
+    albedo = np.load(scene / "truth/albedo.npy").astype(float)
+    values = np.frombuffer(data[start:], "<f4").reshape(len(albedo), -1).astype(float)
+    truth = scene / "truth/normal.npy"
+    normals = np.load(truth).astype(float) if truth.exists() else values[:, 3:6]
+    return values[:, :3], normals, albedo
+
+
+def psnr(picture, photograph):
+    return -10 * np.log10(np.mean((picture - photograph) ** 2))
+
+
+def measure(view, scene, rendered, direct, cloud):
+    name, (width, height) = view["name"], view["size"]
+    fx, fy, cx, cy = view["camera"]["params"]
+    rotation, translation = np.array(view["rotation_camera_from_world"]), np.array(view["translation_camera_from_world"])
+    mask = np.array(Image.open(scene / f"masks/{name}.png").convert("L")) > 127
+    photograph, ours = exr(scene / f"novel/{name}.exr")[mask], exr(rendered / f"{name}.exr")[mask]
+    indirect = ours - exr(direct / f"{name}.exr")[mask]
+    depth = exr(scene / f"truth/{name}_depth.exr").reshape(height, width)[mask]
+    ys, xs = np.nonzero(mask)
+    rays = np.stack([(xs + 0.5 - cx) / fx, (ys + 0.5 - cy) / fy, np.ones(len(xs))], -1)
+    points = (rays / np.linalg.norm(rays, axis=1)[:, None] * depth[:, None] - translation) @ rotation
+    to_flash = rotation.T @ (np.array(view["flash_offset_in_camera"]) - translation) - points
+    squared = (to_flash**2).sum(1)
+
+    positions, normals, albedos = cloud
+    distance, index = cKDTree(positions).query(points, 8, workers=-1)
+    scale = 2 * np.median(distance[:, 0])
+    limits, albedo_only = [], []
+    for spread in (0.25, 0.5, 0.8, 1.2):
+        weight = np.exp(-0.5 * ((distance - distance[:, :1]) / (spread * scale)) ** 2)[..., None]
+        albedo = (albedos[index] * weight).sum(1) / weight.sum(1)
+        normal = (normals[index] * weight).sum(1)
+        cosine = np.maximum(0, (normal * to_flash).sum(1) / np.linalg.norm(normal, axis=1) / np.sqrt(squared))
+        lit = albedo * (view["flash_intensity"] * cosine / squared / np.pi)[:, None] + indirect
+        dark_is_closer = ((indirect - photograph) ** 2).mean(1) < ((lit - photograph) ** 2).mean(1)
+        limits.append(psnr(np.where(dark_is_closer[:, None], indirect, lit), photograph))
+        shading = (photograph * albedo).sum(1) / (albedo**2).sum(1)
+        albedo_only.append(psnr(shading[:, None] * albedo, photograph))
+    print(f"| {scene.name}/{name} | {psnr(ours, photograph):.1f} | {max(limits):.1f} | {max(albedo_only):.1f} |")
+
+
+def main():
+    if len(sys.argv) != 4:
+        sys.exit(__doc__)
+    scene, rendered, direct = map(Path, sys.argv[1:])
+    cloud = read_cloud(scene)
+    print("| view | chiaro, PSNR dB | limit of the cloud | albedo only |\n| --- | ---: | ---: | ---: |")
+    for view in tomllib.loads((scene / "novel/views.toml").read_text())["view"]:
+        measure(view, scene, rendered, direct, cloud)
+
+
+if __name__ == "__main__":
+    main()
