@@ -142,6 +142,7 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
   if (first >= last || left >= right) return std::nullopt;
   const PhotoBand band = read_band(radiance, gbuffer, first, last - first);
   Vec3d colour = Vec3d::Zero();
+  double squares = 0;   // of the green channel
   Vec3f point = Vec3f::Zero(), normal = Vec3f::Zero();
   double flash = 0, spread = 0;
   int count = 0;
@@ -150,6 +151,7 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
       const std::size_t i = band.at(x, y);
       if (!inside(target.polygon, {x + 0.5, y + 0.5}) || band.mask[i] != 1 || !(band.depth[i] > 0)) continue;
       colour += band.colour(i).cast<double>();
+      squares += static_cast<double>(band.g[i]) * static_cast<double>(band.g[i]);
       flash += static_cast<double>(band.flash[i]);
       spread += static_cast<double>(band.spread[i]);
       point += pixel_point(photo.camera, scene.proxy.origin_in_world, x, y, band.depth[i]);
@@ -160,8 +162,9 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
   ReferenceReading reading;
   reading.photograph = target.photograph;
   reading.reference.albedo = target.albedo;
-  // Reading error: noise of the mean and what the model itself is good for at one place.
-  reading.reference.sigma = std::hypot(target.sigma, 0.005);
+  // Reading error: a target is even, so what varies over it is light that the model does not follow; its mean is off by about half of that.
+  const double green = colour[1] / count, uneven = std::sqrt(std::max(0.0, squares / count - green * green)) / green;
+  reading.reference.sigma = std::hypot(target.sigma, 0.005, 0.5 * uneven);
   LightSample& s = reading.reference.sample;
   for (int c = 0; c < 3; ++c) s.radiosity[static_cast<std::size_t>(c)] = static_cast<float>(3.14159265358979 * colour[c] / count);
   s.flash = static_cast<float>(flash / count);
@@ -339,14 +342,20 @@ class LightProblem {
 
   /// Photographs may hold no interreflection at all (they were corrected before, or composed). If leaving it out explains them far better, it is left out.
   void check_bounces(LightSolveOptions options, LightSolution& solution) {
+    const double with_mean = options.bounce_mean, with_sd = options.bounce_sd;
     options.bounce_mean = options.bounce_sd = 0;
     Lights start = solution.lights;
     start.bounce = 0;
-    LightSolution without = solve_lights(samples_, current_references(), options, start);
+    // References do not take part: one that is misread must not decide.
+    const LightSolution without = solve_lights(samples_, {}, options, start);
+    options.bounce_mean = with_mean;
+    options.bounce_sd = with_sd;
+    const double with = references_.empty() ? solution.objective : solve_lights(samples_, {}, options, solution.lights).objective;
     constexpr double kClearly = 0.8, kLeast = 10;   // share of the robust sum, and its difference in units of half a squared sigma
-    if (without.objective > kClearly * solution.objective || solution.objective - without.objective < kLeast) return;
+    if (without.objective > kClearly * with || with - without.objective < kLeast) return;
     without_bounces_ = true;
-    solution = std::move(without);
+    options.bounce_mean = options.bounce_sd = 0;
+    solution = references_.empty() ? without : solve_lights(samples_, current_references(), options, start);
   }
 
   Observation read(std::size_t k) const { return read_observation(observation_path(folder_, k), scene_.proxy.size()); }

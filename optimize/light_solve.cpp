@@ -154,6 +154,14 @@ Normal accumulate(const Lights& x, std::span<const LightSample> samples, const s
   });
 }
 
+/// Of ln(B / H), from noise, normals, sub-pixel spread and gather noise.
+double light_variance(const Lights& lights, const LightSample& s) {
+  const double h = irradiance(lights, s, 1);
+  const double direct = h > 0 ? lights.flash_intensity * static_cast<double>(s.flash) / h : 0;
+  const double normal = direct * static_cast<double>(s.tan_flash) * kNormalSd, spread = 0.3 * direct * static_cast<double>(s.spread), gather = kGatherSd * (1 - direct);
+  return static_cast<double>(s.variance) + normal * normal + spread * spread + gather * gather;
+}
+
 void add_references(const Lights& x, std::span<const ReferenceSample> references, const Layout& layout, Normal& n) {
   for (const ReferenceSample& ref : references)
     for (int c = 0; c < 3; ++c) {
@@ -161,8 +169,9 @@ void add_references(const Lights& x, std::span<const ReferenceSample> references
       VecP j;
       if (!residual(x, ref.sample, c, layout, r, j)) continue;
       r -= std::log(ref.albedo[static_cast<std::size_t>(c)]);
-      // The channels of one target share its error: together they count once.
-      const double w = 1.0 / (3.0 * (ref.sigma * ref.sigma + static_cast<double>(ref.sample.variance)));
+      // The channels of one target share its error: together they count once. What the light model is good for at that place counts too: a target in
+      // shadow, or seen by a grazing flash, says less.
+      const double w = 1.0 / (3.0 * (ref.sigma * ref.sigma + light_variance(x, ref.sample)));
       n.a += w * j * j.transpose();
       n.g -= w * r * j;
       n.objective += 0.5 * w * r * r;
@@ -207,11 +216,8 @@ double irradiance(const Lights& lights, const LightSample& s, int c) {
 }
 
 double sample_weight(const Lights& lights, const LightSample& s) {
-  const double h = irradiance(lights, s, 1);
-  if (!(h > 0)) return 0;
-  const double direct = lights.flash_intensity * static_cast<double>(s.flash) / h;
-  const double normal = direct * static_cast<double>(s.tan_flash) * kNormalSd, spread = 0.3 * direct * static_cast<double>(s.spread), gather = kGatherSd * (1 - direct);
-  return 1.0 / (static_cast<double>(s.variance) + kModelSd * kModelSd + normal * normal + spread * spread + gather * gather);
+  if (!(irradiance(lights, s, 1) > 0)) return 0;
+  return 1.0 / (kModelSd * kModelSd + light_variance(lights, s));
 }
 
 LightSolution solve_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& start) {
