@@ -21,6 +21,7 @@ constexpr int kFirstSweeps = 14, kLaterSweeps = 4;
 constexpr double kSweepTolerance = 1e-6, kOuterTolerance = 3e-5;
 /// Pairs of one photograph overlap and texture is not noise: a fiftieth of their information counts as independent.
 constexpr double kPairInformation = 0.02;
+constexpr double kGuessSd = 0.35;   // of ln flash, around the guess that the brightest surfels reflect 80 %
 
 std::filesystem::path observation_path(const std::filesystem::path& folder, std::size_t k) { return folder / concat("observation_", k, ".bin"); }
 
@@ -180,13 +181,19 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
   return reading;
 }
 
-LightSolveOptions solve_options(const AcquisitionInput& input, int sky_terms, bool pairs) {
+LightSolveOptions solve_options(const AcquisitionInput& input, const Lights& start, bool scale_is_given, int sky_terms, bool pairs) {
   LightSolveOptions o;
   o.sky_terms = sky_terms;
   if (input.intensity_range) {
     const auto [low, high] = *input.intensity_range;
     o.flash_ln_mean = 0.5 * (std::log(low) + std::log(high));
     o.flash_ln_sd = std::max(1e-4, 0.25 * std::log(high / low));   // the range is +-2 sigma
+  }
+  // With nothing known, "all light is bounced light between white surfaces" explains any photograph of rough geometry: the guess at the start holds against it.
+  if (!input.intensity_range && !scale_is_given) {
+    o.flash_ln_mean = std::log(start.flash_intensity);
+    o.flash_ln_sd = kGuessSd;
+    o.flash_is_guess = true;
   }
   if (pairs) o.information = kPairInformation;
   return o;
@@ -199,15 +206,25 @@ Lights start_lights(const AcquisitionInput& input, int sky_terms) {
   return x;
 }
 
-/// A flash of unknown strength starts where the brightest surfels have albedo 0.8: only the scale, never a result.
+/// A flash of unknown strength starts where the brightest surfels have albedo 0.8: only the scale, never a result. A surfel's brightness is its geometric mean
+/// over the photographs, so that highlights, which move, count little.
 void guess_flash(const Scene& scene, const AcquisitionInput& input, const std::filesystem::path& folder, Lights& lights) {
   if (input.intensity_range) return;
-  std::vector<float> ratios;
+  const std::size_t n = scene.proxy.size();
+  std::vector<float> ln_sum(n, 0.0f);
+  std::vector<std::uint16_t> times(n, 0);
   for (std::size_t k = 0; k < input.photographs.size(); ++k) {
-    const Observation o = read_observation(observation_path(folder, k), scene.proxy.size());
-    for (std::size_t i = 0; i < o.seen.size(); i += 7)
-      if (o.seen[i] && o.flash[i] > 0) ratios.push_back(o.radiosity[3 * i + 1] / o.flash[i]);
+    const Observation o = read_observation(observation_path(folder, k), n);
+    for (std::size_t i = 0; i < n; ++i) {
+      if (!o.seen[i] || !(o.flash[i] > 0) || !(o.radiosity[3 * i + 1] > 0)) continue;
+      ln_sum[i] += std::log(o.radiosity[3 * i + 1] / o.flash[i]);
+      ++times[i];
+    }
   }
+  const std::uint16_t least = *std::max_element(times.begin(), times.end()) >= 2 ? 2 : 1;
+  std::vector<float> ratios;
+  for (std::size_t i = 0; i < n; ++i)
+    if (times[i] >= least) ratios.push_back(std::exp(ln_sum[i] / static_cast<float>(times[i])));
   if (ratios.empty()) return;
   const auto at = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() * 95 / 100);
   std::nth_element(ratios.begin(), at, ratios.end());
@@ -320,7 +337,7 @@ class LightProblem {
       report.check();
       albedo = sweep(solution.lights, albedo, outer < 2 ? kFirstSweeps : kLaterSweeps);
       const Lights before = solution.lights;
-      LightSolveOptions light_options = solve_options(input_, terms, use_pairs_);
+      LightSolveOptions light_options = solve_options(input_, start, !references_.empty(), terms, use_pairs_);
       if (without_bounces_) light_options.bounce_mean = light_options.bounce_sd = 0;
       solution = solve_lights(samples_, current_references(), light_options, before);
       if (outer == kBounceCheck && !without_bounces_) check_bounces(light_options, solution);
@@ -350,9 +367,9 @@ class LightProblem {
     const LightSolution without = solve_lights(samples_, {}, options, start);
     options.bounce_mean = with_mean;
     options.bounce_sd = with_sd;
-    const double with = references_.empty() ? solution.objective : solve_lights(samples_, {}, options, solution.lights).objective;
-    constexpr double kClearly = 0.8, kLeast = 10;   // share of the robust sum, and its difference in units of half a squared sigma
-    if (without.objective > kClearly * with || with - without.objective < kLeast) return;
+    const double with = references_.empty() ? solution.scatter : solve_lights(samples_, {}, options, solution.lights).scatter;
+    constexpr double kClearly = 0.8;
+    if (without.scatter > kClearly * with) return;
     without_bounces_ = true;
     options.bounce_mean = options.bounce_sd = 0;
     solution = references_.empty() ? without : solve_lights(samples_, current_references(), options, start);

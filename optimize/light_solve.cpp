@@ -16,6 +16,7 @@ using MatP = Eigen::Matrix<double, kMaxParameters, kMaxParameters>;
 constexpr double kModelSd = 0.02;                    ///< relative model error that no term names
 constexpr double kNormalSd = 0.01745;                ///< one degree
 constexpr double kGatherSd = 0.03;                   ///< relative error of smoothed sky and bounce terms
+constexpr double kWhiteSd = 0.1;                     ///< of ln albedo above 1
 constexpr double kCauchy = 2.385;                    ///< 95 % efficiency for normal residuals (Holland & Welsch 1977)
 constexpr std::size_t kGroupGrain = 256;
 
@@ -129,6 +130,16 @@ std::pair<double, double> robust_scale(const Lights& x, std::span<const LightSam
   return {1.4826 * median(weighted), 1.4826 * median(plain)};
 }
 
+/// No surface gives back more than it receives: a shared albedo above 1 pulls the lights up. Robust, since highlights exist.
+void add_white_limit(const Deviations& d, double cauchy_scale, Normal& n) {
+  if (!(d.mean_r > 0)) return;
+  constexpr double kWeight = 1 / (kWhiteSd * kWhiteSd);
+  const double u2 = kWeight * d.mean_r * d.mean_r / (cauchy_scale * cauchy_scale), w = kWeight / (1.0 + u2);
+  n.a += w * d.mean_j * d.mean_j.transpose();
+  n.g -= w * d.mean_r * d.mean_j;
+  n.objective += 0.5 * cauchy_scale * cauchy_scale * std::log1p(u2);
+}
+
 Normal accumulate(const Lights& x, std::span<const LightSample> samples, const std::vector<Group>& groups, const Layout& layout, double cauchy_scale) {
   return deterministic_sum<Normal>(groups.size(), kGroupGrain, Normal{}, [&](std::size_t b, std::size_t e) {
     Normal n;
@@ -147,6 +158,7 @@ Normal accumulate(const Lights& x, std::span<const LightSample> samples, const s
           score += w * r * j;
           n.objective += 0.5 * cauchy_scale * cauchy_scale * std::log1p(u2);
         }
+        add_white_limit(d, cauchy_scale, n);
       }
       n.meat += score * score.transpose();
     }
@@ -228,17 +240,22 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
   LightSolution solution;
   solution.groups = groups.size();
   solution.samples = samples.size();
-  solution.scale_known = options.flash_ln_mean.has_value() || !references.empty();
+  solution.scale_known = (options.flash_ln_mean && !options.flash_is_guess) || !references.empty();
+  double residuals = 0;
+  for (const Group& g : groups) residuals += 3.0 * static_cast<double>(g.end - g.begin - 1);
+  const double information = std::min(options.information, options.independent_residuals / std::max(1.0, residuals));
   Lights x = start;
   for (int k = options.sky_terms; k < kSkyTerms; ++k) x.sky[static_cast<std::size_t>(k)] = 0;
   const int p = layout.size();
   double damping = 1e-4;
   const auto build = [&](const Lights& at, double scale) {
     Normal n = accumulate(at, samples, groups, layout, scale);
-    n.a *= options.information;
-    n.g *= options.information;
-    n.objective *= options.information;
-    n.meat *= options.information * options.information;
+    // Residuals beyond what their weights expect are the model's: the samples say that much less, and as much fewer of them are independent.
+    const double dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy)), independent = information / dispersion;
+    n.a *= independent / dispersion;
+    n.g *= independent / dispersion;
+    n.objective *= independent / dispersion;
+    n.meat *= independent / (dispersion * dispersion);
     add_references(at, references, layout, n);
     add_priors(at, options, layout, n);
     return n;
