@@ -461,7 +461,7 @@ class Pipeline {
                   {"covariance_of", names}, {"covariance", covariance},
                   {"allowed", {{"flash_intensity", {s.lights.flash_intensity * std::exp(-2 * ln_sd), s.lights.flash_intensity * std::exp(2 * ln_sd)}},
                                {"ambient", {std::max(0.0, s.lights.sky[0] - 2 * ambient_sd), s.lights.sky[0] + 2 * ambient_sd}}}},
-                  {"absolute_scale", s.scale_known ? "calibrated" : "from interreflections alone: trust ratios, not the scale"},
+                  {"absolute_scale", s.scale_known ? "calibrated" : "from interreflections and a guess of the brightest albedo: trust ratios, not the scale"},
                   {"scatter_of_ln_albedo", s.scatter}, {"samples", s.samples}, {"converged", s.converged}};
     };
     a["sky_model"] = shoot.lights.sky_model;

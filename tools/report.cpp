@@ -34,7 +34,7 @@ std::string scale_sentence(const Json& light, const Json& acquisition, const std
   if (method == "direct")
     return concat("The absolute scale is that of the middle of the calibrated flash range; neither ambient light nor bounces were taken off, so shaded parts come out too bright.");
   if (text_of(member(light, "absolute_scale")) != "calibrated")
-    return "Nothing of known reflectance or brightness was given: the absolute scale rests on light that bounced between surfaces alone. Trust ratios of albedo, not its level.";
+    return "Nothing of known reflectance or brightness was given: the absolute scale rests on light that bounced between surfaces, and on the guess that the brightest of them reflect 80 %. Trust ratios of albedo, not its level.";
   if (references > 0)
     return concat("The absolute scale comes from ", references == 1 ? "a reference target" : concat(references, " reference targets"), " of known albedo",
                   range.is_array() ? ", together with the calibrated flash range." : ".");

@@ -89,6 +89,55 @@ TEST(LightSolve, AReferenceFixesTheScale) {
   EXPECT_LT(std::sqrt(s.covariance(0, 0)), 0.02);
 }
 
+// A target in the flash's shadow, read 20 % wrong by the bounced light it stands in: it must not pull the flash by more than it knows.
+TEST(LightSolve, AReferenceInShadowSaysLessThanOneInLight) {
+  Truth truth;
+  truth.noise = 0.01;
+  const auto samples = make_samples(truth, 400);
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(12.0);
+  options.flash_ln_sd = 0.05;
+  const auto pull = [&](float flash) {
+    ReferenceSample reference;
+    reference.sample = samples[0];
+    reference.sample.flash = flash;
+    for (std::size_t c = 0; c < 3; ++c) {
+      reference.albedo[c] = 0.5;
+      const double h = 12 * static_cast<double>(flash) + 0.2 * static_cast<double>(reference.sample.sky[0]) + static_cast<double>(reference.sample.gathered[c]);
+      reference.sample.radiosity[c] = static_cast<float>(1.2 * 0.5 * h);
+    }
+    return std::fabs(std::log(solve_lights(samples, {&reference, 1}, options, start(12, 0.2)).lights.flash_intensity / 12));
+  };
+  EXPECT_LT(pull(0), 0.5 * pull(1));
+  EXPECT_LT(pull(0), 0.05);
+}
+
+// Lights far too dark make albedos above 1. With nothing else known they are pulled up until albedos are possible.
+TEST(LightSolve, NoSurfaceReflectsMoreThanItReceives) {
+  Truth truth;
+  truth.gathered = 0;
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(3.0);   // a quarter of the truth: albedos of 0.2 .. 0.8 become 0.8 .. 3.2
+  options.flash_ln_sd = 0.35;
+  options.flash_is_guess = true;
+  const LightSolution s = solve_lights(make_samples(truth, 400), {}, options, start(3, 0.05));
+  EXPECT_GT(s.lights.flash_intensity, 6);
+  EXPECT_LT(s.lights.flash_intensity, 12);
+  EXPECT_NEAR(s.lights.sky[0] / s.lights.flash_intensity, 0.2 / 12, 1e-3);
+  EXPECT_FALSE(s.scale_known);
+}
+
+// Scatter of 30 % where 2 % is expected: however many samples there are, they do not outvote the prior.
+TEST(LightSolve, DataThatTheModelDoesNotExplainLeaveThePriorItsSay) {
+  Truth truth;
+  truth.noise = 0.3;
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(12.0);
+  options.flash_ln_sd = 0.1;
+  const LightSolution s = solve_lights(make_samples(truth, 5000), {}, options, start(12, 0.2));
+  EXPECT_GT(std::sqrt(s.covariance(0, 0)), 0.05);
+}
+
 TEST(LightSolve, StandsOutliers) {
   Truth truth;
   truth.noise = 0.01;
