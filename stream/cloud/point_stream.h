@@ -41,6 +41,12 @@ struct PointBlock {
   void clear();
 };
 
+/// The position that readers give to a point whose scanner marked it as invalid (it hit nothing): not a number, in bits that tell it from
+/// other numbers that are none.
+Vec3d no_position();
+/// Why a point with this position cannot be used: "invalid in the scan" for no_position(), "not finite"; null for a finite position.
+const char* why_unusable(const Vec3d& position);
+
 class PointReader {
  public:
   virtual ~PointReader() = default;
@@ -50,8 +56,9 @@ class PointReader {
   virtual bool read(PointBlock& block, std::size_t max_points) = 0;
 };
 
-/// Opens by content (magic) first, extension second: PLY (ascii, binary little and big endian), LAS 1.2-1.4, PCD (all encodings), XYZ/TXT/ASC/CSV, PTS.
-/// memory_bytes bounds formats that their library reads whole (compressed PCD): throws Error if the file needs more.
+/// Opens by content (magic) first, extension second: PLY (ascii, binary little and big endian), LAS and LAZ 1.2-1.4, E57, PCD (all encodings),
+/// XYZ/TXT/ASC/CSV, PTS, PTX. Several scans in one file come one after the other, in the frame of the file.
+/// memory_bytes bounds formats that are not streamed through and through (compressed PCD, huge chunks of LAZ): throws Error if the file needs more.
 /// throws Error for an unknown format, naming the formats that are read.
 std::unique_ptr<PointReader> open_points(const std::filesystem::path& path, std::uint64_t memory_bytes = std::uint64_t{1} << 32);
 

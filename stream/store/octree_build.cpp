@@ -21,7 +21,6 @@ constexpr int kAlgorithmVersion = 2;      // part of the key: raise when the sam
 constexpr std::size_t kBlockPoints = 65536;
 constexpr double kMaxCoordinate = 1e9;    // project units
 constexpr std::uint64_t kMaxPoints = std::uint64_t{1} << 40;
-constexpr const char* kNotFinite = "not finite";
 constexpr const char* kOutOfRange = "out of range";
 
 /// Reads all clouds block by block, the next block while the current one is worked on.
@@ -97,7 +96,7 @@ class Builder {
 
   // Reason to leave a point out, or null.
   const char* rejection(std::uint64_t number, const Vec3d& p) const {
-    if (!p.allFinite()) return kNotFinite;
+    if (const char* why = why_unusable(p)) return why;
     if (p.cwiseAbs().maxCoeff() > kMaxCoordinate) return kOutOfRange;
     if (input_.rejected && input_.rejected(number)) return input_.rejected_reason.c_str();
     return nullptr;
