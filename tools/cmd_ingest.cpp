@@ -71,7 +71,7 @@ int run_ingest(std::span<const std::string> args, Console& console) {
   std::string out, normals = "auto", unit = "m";
   std::uint64_t memory_bytes = std::uint64_t{2} << 30;
   int threads = 0;
-  Args parser("ingest", "Puts point files (PLY, LAS, PCD, XYZ, PTS) into one chunked store, in bounded memory. A killed run goes on where it stopped.");
+  Args parser("ingest", "Puts point files (PLY, LAS, LAZ, E57, PCD, XYZ, PTS, PTX) into one chunked store, in bounded memory. A killed run goes on where it stopped.");
   parser.positionals("FILES", patterns, "one or many, merged in this order; * ? [ ] are understood");
   parser.option("-o,--out", out, "folder of the store", "NAME.chiaro");
   parser.require("--out");

@@ -32,6 +32,9 @@ class LazReader final : public PointReader {
 
   const PointSchema& schema() const override { return decoder_.schema(); }
 
+  // Only spares the decompression of layers that nobody looks at.
+  void wants(PointParts parts) override { parts_ = parts; }
+
   bool read(PointBlock& block, std::size_t max_points) override {
     block.clear();
     while (block.size() < max_points) {
@@ -79,7 +82,7 @@ class LazReader final : public PointReader {
                          " are allowed; write the file with smaller chunks"));
     char message[CHIARO_RUST_MESSAGE_BYTES] = {};
     void* handle = nullptr;
-    check(chiaro_laz_decoder_new(laz_.get(), chunk, &handle, message), message);
+    check(chiaro_laz_decoder_new(laz_.get(), chunk, static_cast<int>(parts_), &handle, message), message);
     return DecoderPtr(handle);
   }
 
@@ -148,6 +151,7 @@ class LazReader final : public PointReader {
   RowDecoder decoder_;
   std::size_t row_bytes_;
   std::uint64_t memory_bytes_;
+  PointParts parts_ = PointParts::kAll;
   LazPtr laz_;
   std::uint64_t num_chunks_ = 0, next_chunk_ = 0;
   DecoderPtr streamed_;  // of a chunk too large for one piece

@@ -47,10 +47,15 @@ Vec3d no_position();
 /// Why a point with this position cannot be used: "invalid in the scan" for no_position(), "not finite"; null for a finite position.
 const char* why_unusable(const Vec3d& position);
 
+/// What the caller of a reader looks at.
+enum class PointParts { kAll, kNoExtras, kPositions };
+
 class PointReader {
  public:
   virtual ~PointReader() = default;
   virtual const PointSchema& schema() const = 0;
+  /// A hint, before the first read(): other parts may then stay empty, whatever the schema says.
+  virtual void wants(PointParts) {}
   /// Fills `block` with up to max_points next points in file order; false at the end (block empty then). NaN and infinite positions are
   /// passed on: the caller counts and rejects them. throws Error with path, position in the file (byte or line), expected and found.
   virtual bool read(PointBlock& block, std::size_t max_points) = 0;

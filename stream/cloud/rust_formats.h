@@ -28,7 +28,8 @@ int chiaro_laz_open(const ChiaroLazInput* input, void** laz, char* message);
 void chiaro_laz_free(void* laz);
 uint64_t chiaro_laz_num_chunks(const void* laz);
 ChiaroLazChunk chiaro_laz_chunk(const void* laz, uint64_t index);
-int chiaro_laz_decoder_new(const void* laz, uint64_t chunk, void** decoder, char* message);
+/* parts: 0 all; 1 positions, colours and extra bytes; 2 positions. Where layers allow it (point formats 6 to 10) the rest is left out: constant. */
+int chiaro_laz_decoder_new(const void* laz, uint64_t chunk, int parts, void** decoder, char* message);
 /* The next bytes / record_bytes records of the chunk, as LAS has them. */
 int chiaro_laz_decode(void* decoder, uint8_t* rows, uint64_t bytes, char* message);
 void chiaro_laz_decoder_free(void* decoder);

@@ -101,8 +101,24 @@ TEST_F(Laz, ChunksOfUnequalSizeAreRead) {
   for (int i = 0; i < 30; ++i) expect_point(cloud, 7, i);
 }
 
-TEST_F(Laz, AChunkTooLargeForOnePieceIsStreamed) {
-  // Records of 34 bytes with 2 kB of extra bytes are not at hand: a budget below a chunk's decoder makes every chunk stream, or refuses it.
+TEST_F(Laz, PartsThatAreWantedDoNotDependOnTheOthers) {
+  for (const char* name : {"format_2.laz", "format_7.laz", "format_10.laz"}) {
+    SCOPED_TRACE(name);
+    const Cloud all = read_all(data(name));
+    for (const PointParts parts : {PointParts::kNoExtras, PointParts::kPositions}) {
+      const auto reader = open_points(data(name));
+      reader->wants(parts);
+      PointBlock block;
+      ASSERT_TRUE(reader->read(block, 100));
+      EXPECT_EQ(block.position, all.points.position);
+      if (parts == PointParts::kNoExtras) {
+        EXPECT_EQ(block.colour, all.points.colour);
+      }
+    }
+  }
+}
+
+TEST_F(Laz, AChunkBeyondTheMemoryIsRefused) {
   const std::string message = error_of([] { read_all(*open_points(data("variable_chunks.laz"), 16)); });
   EXPECT_THAT(message, HasSubstr("compressed bytes, 16 are allowed"));
 }

@@ -160,6 +160,16 @@ fn check_chunk(index: usize, points: u64, offset: u64, bytes: u64, input: &Input
     Ok(())
 }
 
+/// Layers that are worth decoding; x and y always are. Extra bytes may hold normals, so that only positions go without.
+fn selection(parts: i32) -> DecompressionSelection {
+    let positions = DecompressionSelection::xy_returns_channel().decompress_z();
+    match parts {
+        0 => DecompressionSelection::all(),
+        1 => positions.decompress_rgb().decompress_extra_bytes(),
+        _ => positions,
+    }
+}
+
 impl Laz {
     pub fn open(input: &Input) -> Result<Self, String> {
         let (vlr, compressor) = parse_vlr(input)?;
@@ -208,7 +218,7 @@ impl Laz {
         Ok(())
     }
 
-    pub fn decoder(&self, index: usize) -> Result<Decoder, String> {
+    pub fn decoder(&self, index: usize, parts: i32) -> Result<Decoder, String> {
         let chunk = self.chunks[index];
         if self.layered {
             self.check_layers(&chunk)?;
@@ -220,7 +230,7 @@ impl Laz {
             Box::new(SequentialPointRecordDecompressor::new(source))
         };
         records.set_fields_from(&self.items).map_err(|error| error.to_string())?;
-        records.set_selection(DecompressionSelection::all());
+        records.set_selection(selection(parts));
         if records.record_size() != self.record_bytes {
             return Err(format!("laszip items make records of {} bytes, expected {}", records.record_size(), self.record_bytes));
         }

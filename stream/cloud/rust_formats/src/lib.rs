@@ -95,9 +95,9 @@ pub unsafe extern "C" fn chiaro_laz_chunk(laz: *const c_void, index: u64) -> Chi
 }
 
 #[no_mangle]
-pub unsafe extern "C" fn chiaro_laz_decoder_new(laz: *const c_void, chunk: u64, decoder: *mut *mut c_void, message: *mut c_char) -> c_int {
+pub unsafe extern "C" fn chiaro_laz_decoder_new(laz: *const c_void, chunk: u64, parts: c_int, decoder: *mut *mut c_void, message: *mut c_char) -> c_int {
     guarded(message, || {
-        let made = (*laz.cast::<laz_chunks::Laz>()).decoder(chunk as usize)?;
+        let made = (*laz.cast::<laz_chunks::Laz>()).decoder(chunk as usize, parts)?;
         *decoder = Box::into_raw(Box::new(made)).cast();
         Ok(())
     })
