@@ -35,7 +35,8 @@ if(CHIARO_RUST_FORMATS)
   if(cargo)
     set(folder ${CMAKE_BINARY_DIR}/rust_formats)
     set(CHIARO_RUST_LIBRARY ${folder}/release/libchiaro_rust_formats.a)
-    file(GLOB rust_sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/rust_formats/src/*.rs)
+    set(rust_sources e57_scans.rs file_at.rs laz_chunks.rs lib.rs pages.rs)
+    list(TRANSFORM rust_sources PREPEND ${CMAKE_CURRENT_SOURCE_DIR}/rust_formats/src/)
     # touch: cargo leaves the library alone where nothing changed in it, and ninja would ask again.
     add_custom_command(OUTPUT ${CHIARO_RUST_LIBRARY}
       COMMAND ${cargo} build --locked --offline --release --quiet --manifest-path ${manifest} --target-dir ${folder}

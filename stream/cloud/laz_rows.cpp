@@ -19,13 +19,14 @@ using LazPtr = std::unique_ptr<void, LazFree>;
 using DecoderPtr = std::unique_ptr<void, DecoderFree>;
 
 constexpr std::uint64_t kBlockBytes = 1 << 20;           // of rows of a chunk that is streamed
-constexpr std::uint64_t kWholeChunkBytes = 12ull << 20;  // a chunk that takes no more is decompressed in one go
+constexpr std::uint64_t kWholeChunkBytes = 8ull << 20;   // a chunk that takes no more is decompressed in one go, beside others
 constexpr std::size_t kChunksPerThread = 2;              // chunks take unequal time
 
 class LazReader final : public PointReader {
  public:
   LazReader(File file, RowDecoder decoder, const LazRows& rows)
-      : file_(std::move(file)), decoder_(std::move(decoder)), row_bytes_(decoder_.layout().row_bytes), memory_bytes_(rows.memory_bytes) {
+      : file_(std::move(file)), decoder_(std::move(decoder)), row_bytes_(decoder_.layout().row_bytes), memory_bytes_(rows.memory_bytes),
+        whole_bytes_(std::min(kWholeChunkBytes, rows.memory_bytes / 16)) {
     open(rows);
     if (decoder_.needs_colour_samples()) sample_colours();
   }
@@ -95,7 +96,7 @@ class LazReader final : public PointReader {
   }
 
   bool is_whole(const ChiaroLazChunk& chunk) const {
-    return chunk.points <= kWholeChunkBytes / row_bytes_ && chunk.decoder_bytes <= kWholeChunkBytes && chunk.decoder_bytes <= memory_bytes_;
+    return chunk.points <= whole_bytes_ / row_bytes_ && chunk.decoder_bytes <= whole_bytes_;
   }
 
   // The next pieces in file order; false at the end of the file.
@@ -150,7 +151,7 @@ class LazReader final : public PointReader {
   File file_;
   RowDecoder decoder_;
   std::size_t row_bytes_;
-  std::uint64_t memory_bytes_;
+  std::uint64_t memory_bytes_, whole_bytes_;
   PointParts parts_ = PointParts::kAll;
   LazPtr laz_;
   std::uint64_t num_chunks_ = 0, next_chunk_ = 0;

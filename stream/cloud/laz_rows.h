@@ -19,8 +19,9 @@ struct LazRows {
   std::uint64_t memory_bytes = std::uint64_t{1} << 32;
 };
 
-/// Rows of layout.row_bytes each, decompressed chunk by chunk on all threads, given in file order. Memory: some 100 MiB at most for chunks of
-/// the usual size; a larger chunk is streamed. throws Error for damaged data, or a chunk whose compressed bytes exceed memory_bytes.
+/// Rows of layout.row_bytes each, decompressed chunk by chunk on all threads, given in file order. Memory: a few MiB a thread for chunks of the
+/// usual size, 32 MiB a thread at most; a larger chunk is streamed. throws Error for damaged data, or a chunk whose compressed bytes exceed
+/// memory_bytes.
 std::unique_ptr<PointReader> read_laz_rows(File file, RowDecoder decoder, LazRows rows);
 
 /// The error of a build without the Rust library: names the file, what is missing and how to get it.

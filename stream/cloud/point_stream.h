@@ -67,7 +67,7 @@ class PointReader {
 /// throws Error for an unknown format, naming the formats that are read.
 std::unique_ptr<PointReader> open_points(const std::filesystem::path& path, std::uint64_t memory_bytes = std::uint64_t{1} << 32);
 
-/// Writes rows of packed little-endian scalars. Known names: x y z nx ny nz red green blue (u8, sRGB) albedo_r albedo_g albedo_b sigma photos;
+/// Writes rows of packed little-endian scalars. Known names: x y z nx ny nz red green blue (u8 or u16, sRGB) albedo_r albedo_g albedo_b sigma photos;
 /// LAS keeps x y z and colour in its own fields and the rest as extra bytes; PCD and PLY keep all.
 class PointWriter {
  public:

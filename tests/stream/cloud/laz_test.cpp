@@ -118,6 +118,12 @@ TEST_F(Laz, PartsThatAreWantedDoNotDependOnTheOthers) {
   }
 }
 
+TEST_F(Laz, LittleMemoryGivesTheSamePoints) {
+  // Too little for whole chunks: each is streamed.
+  for (const char* name : {"three_chunks.laz", "format_7.laz"})
+    EXPECT_EQ(read_all(*open_points(data(name), 100'000), 3333).points.position, read_all(data(name)).points.position) << name;
+}
+
 TEST_F(Laz, AChunkBeyondTheMemoryIsRefused) {
   const std::string message = error_of([] { read_all(*open_points(data("variable_chunks.laz"), 16)); });
   EXPECT_THAT(message, HasSubstr("compressed bytes, 16 are allowed"));
