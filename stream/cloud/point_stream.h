@@ -47,6 +47,11 @@ Vec3d no_position();
 /// Why a point with this position cannot be used: "invalid in the scan" for no_position(), "not finite"; null for a finite position.
 const char* why_unusable(const Vec3d& position);
 
+/// Positions that are 32-bit integers times scale plus add, by axis.
+struct PointGrid {
+  Vec3d scale, add;
+};
+
 /// What the caller of a reader looks at.
 enum class PointParts { kAll, kNoExtras, kPositions };
 
@@ -59,6 +64,9 @@ class PointReader {
   /// Fills `block` with up to max_points next points in file order; false at the end (block empty then). NaN and infinite positions are
   /// passed on: the caller counts and rejects them. throws Error with path, position in the file (byte or line), expected and found.
   virtual bool read(PointBlock& block, std::size_t max_points) = 0;
+  /// Whether reading again takes longer than keeping the points in a file (see spool.h), and the grid that makes that file small.
+  virtual bool decodes_slowly() const { return false; }
+  virtual std::optional<PointGrid> grid() const { return std::nullopt; }
 };
 
 /// Opens by content (magic) first, extension second: PLY (ascii, binary little and big endian), LAS and LAZ 1.2-1.4, E57, PCD (all encodings),

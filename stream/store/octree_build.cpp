@@ -6,6 +6,7 @@
 #include "stream/base/error.h"
 #include "stream/base/hash.h"
 #include "stream/base/parallel.h"
+#include "stream/cloud/spool.h"
 #include "stream/store/build_journal.h"
 #include "stream/store/inner_levels.h"
 #include "stream/store/layer.h"
@@ -25,11 +26,11 @@ constexpr const char* kOutOfRange = "out of range";
 
 /// Reads all clouds block by block, the next block while the current one is worked on.
 template <class Body>
-void for_each_block(const CloudInput& input, MemoryBudget& budget, const Body& body) {
+void for_each_block(const CloudInput& input, PointSpool& spool, PointSpool::Reading reading, MemoryBudget& budget, const Body& body) {
   const BudgetLease lease(budget, 2 * kBlockPoints * 64, "blocks of points");
   std::uint64_t first = 0;
   for (std::size_t cloud = 0; cloud < input.files.size(); ++cloud) {
-    const auto reader = input.open(cloud);
+    const auto reader = spool.open(cloud, reading, [&] { return input.open(cloud); });
     PointBlock block, next;
     bool more = reader->read(block, kBlockPoints);
     while (more) {
@@ -48,7 +49,7 @@ void for_each_block(const CloudInput& input, MemoryBudget& budget, const Body& b
 class Builder {
  public:
   Builder(const CloudInput& input, const fs::path& out, const BuildOptions& options, MemoryBudget& budget, Reporter& report)
-      : input_(input), out_(out), part_(out.string() + ".part"), options_(options), budget_(budget), report_(report) {}
+      : input_(input), out_(out), part_(out.string() + ".part"), spool_(part_), options_(options), budget_(budget), report_(report) {}
 
   Manifest run() {
     const std::string key = build_key(input_, options_);
@@ -121,7 +122,7 @@ class Builder {
     std::vector<Vec3d> accepted;
     report_.begin("count points", declared_points(), "points");
     std::map<std::string, std::uint64_t> rejected;
-    for_each_block(input_, budget_, [&](std::size_t cloud, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
+    for_each_block(input_, spool_, PointSpool::Reading::kFirst, budget_, [&](std::size_t cloud, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
       report_.check();
       if (first + block.size() > kMaxPoints) throw Error(concat("more than ", kMaxPoints, " points"));
       b_.has_colour = b_.has_colour || schema.has_colour;
@@ -175,7 +176,11 @@ class Builder {
     const std::uint64_t n = b_.manifest.points_stored;
     const std::uint64_t spill_bytes = n * sizeof(SpillRecord);
     const std::uint64_t store_bytes = n * (b_.has_colour ? 26 : 17) * 7 / 5;
-    const std::uint64_t free = free_disk_bytes(part_);
+    std::uint64_t free = free_disk_bytes(part_);
+    if (free < spill_bytes + store_bytes) {
+      spool_.drop();
+      free = free_disk_bytes(part_);
+    }
     report_.note(concat(n, " points: ", format_bytes(spill_bytes), " of disk while building, about ", format_bytes(store_bytes), " for the store"));
     if (free < spill_bytes + store_bytes)
       throw Error(concat(out_.string(), ": no space: the build needs ", format_bytes(spill_bytes + store_bytes), ", the disk has ", format_bytes(free), " free"));
@@ -187,7 +192,7 @@ class Builder {
     constexpr std::uint32_t kRejected = 0xffffffffu;
     b_.estimated_normals = 0;
     report_.begin("distribute points", b_.manifest.points_read, "points");
-    for_each_block(input_, budget_, [&](std::size_t, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
+    for_each_block(input_, spool_, PointSpool::Reading::kSecond, budget_, [&](std::size_t, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
       report_.check();
       parallel_blocks(block.size(), 4096, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
@@ -329,6 +334,7 @@ class Builder {
 
   const CloudInput& input_;
   fs::path out_, part_;
+  PointSpool spool_;   // for the second reading of formats that are slow to decode
   const BuildOptions& options_;
   MemoryBudget& budget_;
   Reporter& report_;
