@@ -31,6 +31,7 @@ void for_each_block(const CloudInput& input, PointSpool& spool, PointSpool::Read
   std::uint64_t first = 0;
   for (std::size_t cloud = 0; cloud < input.files.size(); ++cloud) {
     const auto reader = spool.open(cloud, reading, [&] { return input.open(cloud); });
+    reader->wants(reading == PointSpool::Reading::kFirst ? PointParts::kPositions : PointParts::kNoExtras);
     PointBlock block, next;
     bool more = reader->read(block, kBlockPoints);
     while (more) {
