@@ -41,10 +41,15 @@ struct PointBlock {
   void clear();
 };
 
+/// What the caller of a reader looks at.
+enum class PointParts { kAll, kNoExtras, kPositions };
+
 class PointReader {
  public:
   virtual ~PointReader() = default;
   virtual const PointSchema& schema() const = 0;
+  /// A hint, before the first read(): other parts may then stay empty, whatever the schema says.
+  virtual void wants(PointParts) {}
   /// Fills `block` with up to max_points next points in file order; false at the end (block empty then). NaN and infinite positions are
   /// passed on: the caller counts and rejects them. throws Error with path, position in the file (byte or line), expected and found.
   virtual bool read(PointBlock& block, std::size_t max_points) = 0;

@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "stream/base/error.h"
+#include "stream/base/parallel.h"
 #include "stream/cloud/scalars.h"
 
 namespace chiaro::stream {
@@ -34,29 +35,39 @@ class FixedRowReader : public PointReader {
       throw Error(concat(file_.path().string(), ": the header declares ", rows_.count, " points of ", row_bytes, " bytes from offset ",
                          rows_.offset, ", the file holds ", available, " (", size, " bytes)"));
     }
-    buffer_.resize(std::max<std::size_t>(1, std::min<std::uint64_t>(kBufferBytes / row_bytes, rows_.count)) * row_bytes);
+    piece_rows_ = std::max<std::size_t>(1, static_cast<std::size_t>(std::min<std::uint64_t>(kPieceBytes / row_bytes, rows_.count)));
+    for (auto& buffer : buffers_) buffer.resize(piece_rows_ * row_bytes);
     if (decoder_.needs_colour_samples()) sample_colours();
   }
 
   const PointSchema& schema() const override { return decoder_.schema(); }
 
+  void wants(PointParts parts) override { decoder_.wants(parts); }
+
+  // Pieces of the block are read and decoded side by side, each through a buffer of its own.
   bool read(PointBlock& block, std::size_t max_points) override {
     block.clear();
-    const std::size_t row_bytes = decoder_.layout().row_bytes;
-    while (block.size() < max_points && next_ < rows_.count) {
-      const std::uint64_t count = std::min<std::uint64_t>({buffer_.size() / row_bytes, rows_.count - next_, max_points - block.size()});
-      load(next_, static_cast<std::size_t>(count));
-      decoder_.decode(buffer_.data(), static_cast<std::size_t>(count), block);
-      next_ += count;
+    const auto count = static_cast<std::size_t>(std::min<std::uint64_t>(max_points, rows_.count - next_));
+    decoder_.grow(block, count);
+    for (std::size_t first = 0; first < count; first += kPieces * piece_rows_) {
+      const std::size_t pieces = (std::min(count - first, kPieces * piece_rows_) + piece_rows_ - 1) / piece_rows_;
+      parallel_blocks(pieces, 1, [&](std::size_t piece, std::size_t) {
+        const std::size_t at = first + piece * piece_rows_, n = std::min(piece_rows_, count - at);
+        load(next_ + at, n, buffers_[piece]);
+        decoder_.decode_at(buffers_[piece].data(), n, block, at);
+      });
     }
-    return block.size() > 0;
+    next_ += count;
+    return count > 0;
   }
 
  private:
-  void load(std::uint64_t first, std::size_t count) {
+  static constexpr std::size_t kPieces = 8, kPieceBytes = 256 << 10;
+
+  void load(std::uint64_t first, std::size_t count, std::vector<std::byte>& buffer) {
     const std::size_t row_bytes = decoder_.layout().row_bytes;
-    file_.read_at(rows_.offset + first * row_bytes, buffer_.data(), count * row_bytes);
-    if (rows_.swap_bytes) swap_fields(decoder_.layout(), buffer_.data(), count);
+    file_.read_at(rows_.offset + first * row_bytes, buffer.data(), count * row_bytes);
+    if (rows_.swap_bytes) swap_fields(decoder_.layout(), buffer.data(), count);
   }
 
   // Runs of points spread over the whole file, so that one dark corner does not decide.
@@ -64,9 +75,9 @@ class FixedRowReader : public PointReader {
     constexpr std::uint64_t kRuns = 64, kRunLength = 256;
     for (std::uint64_t run = 0; run < kRuns; ++run) {
       const std::uint64_t first = rows_.count / kRuns * run;
-      const std::uint64_t count = std::min<std::uint64_t>({kRunLength, rows_.count - first, buffer_.size() / decoder_.layout().row_bytes});
-      load(first, static_cast<std::size_t>(count));
-      decoder_.sample_colours(buffer_.data(), static_cast<std::size_t>(count));
+      const std::uint64_t count = std::min<std::uint64_t>({kRunLength, rows_.count - first, piece_rows_});
+      load(first, static_cast<std::size_t>(count), buffers_[0]);
+      decoder_.sample_colours(buffers_[0].data(), static_cast<std::size_t>(count));
       if (rows_.count <= count) break;
     }
     decoder_.decide_colour_scale();
@@ -76,7 +87,8 @@ class FixedRowReader : public PointReader {
   RowDecoder decoder_;
   FixedRows rows_;
   std::uint64_t next_ = 0;
-  std::vector<std::byte> buffer_;
+  std::size_t piece_rows_ = 1;
+  std::array<std::vector<std::byte>, kPieces> buffers_;
 };
 
 class TextRowReader : public PointReader {
@@ -89,6 +101,7 @@ class TextRowReader : public PointReader {
     announced_ = rows_.count.value_or(0);
   }
   const PointSchema& schema() const override { return decoder_.schema(); }
+  void wants(PointParts parts) override { decoder_.wants(parts); }
 
   bool read(PointBlock& block, std::size_t max_points) override {
     block.clear();

@@ -8,6 +8,7 @@
 #include "stream/base/error.h"
 #include "stream/base/hash.h"
 #include "stream/base/parallel.h"
+#include "stream/store/leaf_fit.h"
 #include "stream/store/store_format.h"
 
 namespace chiaro::stream {
@@ -29,7 +30,7 @@ struct LeafData {
   std::vector<SpillRecord> open;  ///< instead of the above: points of a level-21 cell that may go on in the next range
 };
 
-LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_t morton, int level, int part, bool has_colour) {
+LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_t morton, int level, int part, const LeafRules& rules, bool has_colour) {
   LeafData leaf;
   leaf.entry.morton = morton;
   leaf.entry.level = static_cast<std::uint8_t>(level);
@@ -61,6 +62,7 @@ LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_
   }
   pack_sources(sources, leaf.sources);
   leaf.entry.source_crc = crc32c(leaf.sources);
+  if (rules.guess_surfels) guess_surfels(leaf.entry, leaf.blocks, std::ldexp(rules.edge, -level - kLocalBits));
   return leaf;
 }
 
@@ -110,7 +112,7 @@ class RangeBuilder {
     int part = 0;
     for (; first < last; first += rules_.chunk_surfels, ++part) {
       if (part > 255) too_many(rules_);
-      leaves_.push_back(encode_leaf(&records_[first], std::min<std::size_t>(rules_.chunk_surfels, last - first), morton, level, part, has_colour_));
+      leaves_.push_back(encode_leaf(&records_[first], std::min<std::size_t>(rules_.chunk_surfels, last - first), morton, level, part, rules_, has_colour_));
     }
   }
 
@@ -302,7 +304,7 @@ class LeafAssembler {
   void flush_open_leaf() {
     if (open_.empty()) return;
     if (open_part_ > 255) RangeBuilder::too_many(rules_);
-    LeafData leaf = encode_leaf(open_.data(), open_.size(), open_morton_, kMaxLevel, open_part_++, files_.colour != nullptr);
+    LeafData leaf = encode_leaf(open_.data(), open_.size(), open_morton_, kMaxLevel, open_part_++, rules_, files_.colour != nullptr);
     open_.clear();
     store(leaf);
   }

@@ -20,8 +20,8 @@ struct HaloChunk {
   Vec3d origin_in_world;
   std::uint32_t size = 0;                            ///< distinct positions
   std::vector<float> x, y, z;                        ///< relative to the cell's lower corner; padded to groups with a far value
-  std::vector<std::array<std::int16_t, 2>> normal;   ///< of the first surfel on the spot
-  std::vector<std::uint8_t> flags;
+  std::vector<float> nx, ny, nz;                     ///< unit normal of the first surfel on the spot; empty while normals are being fitted
+  std::vector<std::uint8_t> flags;                   ///< of the first surfel on the spot
   std::vector<std::uint32_t> first_slot;             ///< size + 1
   struct FlatBox {
     std::array<float, 3> min, max;
@@ -29,7 +29,7 @@ struct HaloChunk {
   std::vector<std::vector<FlatBox>> levels;          ///< levels[0]: groups; levels[l + 1]: 8 boxes of levels[l] each
   static std::uint64_t bytes_for(std::uint32_t count);
 };
-std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count);
+std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count, bool with_normals);
 
 /// Leaves as HaloChunks, least recently used first out. Thread-safe; what a caller holds stays valid.
 class HaloCache {
@@ -55,12 +55,12 @@ class HaloCache {
   std::list<std::uint32_t> order_;  ///< most recent first
 };
 
-/// Points near a box, relative to the lower corner of the chunk that asks. The first `num` entries count.
+/// Points near a box, relative to the lower corner of the chunk that asks. The first `num` entries count; positions behind, up to a multiple of eight, are far.
 struct Candidates {
   std::size_t num = 0;
   std::vector<float> x, y, z;
-  std::vector<std::array<std::int16_t, 2>> normal;
-  std::vector<std::uint8_t> flags;
+  std::vector<float> nx, ny, nz;      ///< if asked for
+  std::vector<std::uint8_t> flags;    ///< if asked for
   std::size_t size() const { return num; }
   void reserve(std::size_t size);
 };
@@ -73,7 +73,7 @@ class Neighbourhood {
   Neighbourhood(std::shared_ptr<const HaloChunk> own, const Box3d& own_bounds, const Find& find, HaloCache& cache);
   const HaloChunk& own() const { return *own_; }
   /// All points within `radius` of the box (own frame), in an order that does not depend on the radius.
-  void gather(const HaloChunk::FlatBox& box, float radius, Candidates& out);
+  void gather(const HaloChunk::FlatBox& box, float radius, bool with_normals, Candidates& out);
 
  private:
   struct Near {

@@ -17,7 +17,7 @@ namespace chiaro::stream {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr int kAlgorithmVersion = 2;      // part of the key: raise when the same input gives another store
+constexpr int kAlgorithmVersion = 3;      // part of the key: raise when the same input gives another store
 constexpr std::size_t kBlockPoints = 65536;
 constexpr double kMaxCoordinate = 1e9;    // project units
 constexpr std::uint64_t kMaxPoints = std::uint64_t{1} << 40;
@@ -26,11 +26,12 @@ constexpr const char* kOutOfRange = "out of range";
 
 /// Reads all clouds block by block, the next block while the current one is worked on.
 template <class Body>
-void for_each_block(const CloudInput& input, MemoryBudget& budget, const Body& body) {
+void for_each_block(const CloudInput& input, PointParts parts, MemoryBudget& budget, const Body& body) {
   const BudgetLease lease(budget, 2 * kBlockPoints * 64, "blocks of points");
   std::uint64_t first = 0;
   for (std::size_t cloud = 0; cloud < input.files.size(); ++cloud) {
     const auto reader = input.open(cloud);
+    reader->wants(parts);
     PointBlock block, next;
     bool more = reader->read(block, kBlockPoints);
     while (more) {
@@ -122,7 +123,7 @@ class Builder {
     std::vector<Vec3d> accepted;
     report_.begin("count points", declared_points(), "points");
     std::map<std::string, std::uint64_t> rejected;
-    for_each_block(input_, budget_, [&](std::size_t cloud, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
+    for_each_block(input_, PointParts::kPositions, budget_, [&](std::size_t cloud, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
       report_.check();
       if (first + block.size() > kMaxPoints) throw Error(concat("more than ", kMaxPoints, " points"));
       b_.has_colour = b_.has_colour || schema.has_colour;
@@ -188,7 +189,7 @@ class Builder {
     constexpr std::uint32_t kRejected = 0xffffffffu;
     b_.estimated_normals = 0;
     report_.begin("distribute points", b_.manifest.points_read, "points");
-    for_each_block(input_, budget_, [&](std::size_t, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
+    for_each_block(input_, PointParts::kNoExtras, budget_, [&](std::size_t, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
       report_.check();
       parallel_blocks(block.size(), 4096, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
@@ -238,7 +239,7 @@ class Builder {
       File spill(part_ / "spill.bin", File::Mode::kReadWrite);
       File geometry(geometry_path(part_), File::Mode::kCreate), source(source_path(part_), File::Mode::kCreate), colour;
       if (b_.has_colour) colour = File(part_ / "colour.bin", File::Mode::kCreate);
-      const LeafRules rules{options_.chunk_surfels, b_.root.edge(), b_.typical_spacing / 16};
+      const LeafRules rules{options_.chunk_surfels, b_.root.edge(), b_.typical_spacing / 16, options_.normals == NormalSource::kNone};
       report_.begin("sort points", b_.manifest.points_stored, "points");
       const auto leaf_entries = build_leaves(spill, b_.partitions, rules, {geometry, source, b_.has_colour ? &colour : nullptr}, budget_, report_);
       report_.end();
@@ -281,12 +282,12 @@ class Builder {
   }
 
   void normals() {
-    if (b_.estimated_normals > 0) fit(nullptr, [&](const FitJob& job) { fit_normals(job, budget_, report_); });
+    if (b_.estimated_normals > 0 && options_.normals != NormalSource::kNone) fit(nullptr, [&](const FitJob& job) { fit_normals(job, budget_, report_); });
     finish(BuildPhase::kNormals);
   }
 
   void radii() {
-    fit("leaves.bin", [&](const FitJob& job) { fit_radii(job, budget_, report_); });
+    if (options_.normals != NormalSource::kNone) fit("leaves.bin", [&](const FitJob& job) { fit_radii(job, budget_, report_); });
     finish(BuildPhase::kRadii);
   }
 
