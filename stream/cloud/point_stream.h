@@ -20,10 +20,19 @@ struct PointProperty {
   ScalarType type = ScalarType::kF32;
 };
 
+/// Positions that are stored as integers k: p = k * scale + add, rounded as doubles are.
+struct PositionGrid {
+  Vec3d scale, add;
+  Vec3d position(const std::array<std::int64_t, 3>& k) const {
+    return {static_cast<double>(k[0]) * scale.x() + add.x(), static_cast<double>(k[1]) * scale.y() + add.y(), static_cast<double>(k[2]) * scale.z() + add.z()};
+  }
+};
+
 /// What a file holds per point beside position, normal and colour is `extras`, carried through to exports untouched.
 struct PointSchema {
   std::uint64_t declared_points = 0;   ///< as the header says, 0 = unknown (text). Never trusted: see PointReader::read
   bool position_is_double = false;     ///< input stored doubles, or scaled integers that a float cannot hold
+  std::optional<PositionGrid> grid;    ///< of scaled integers, a hint: whoever uses it checks each position
   bool has_normal = false;
   bool has_colour = false;
   bool colour_is_16_bit = false;

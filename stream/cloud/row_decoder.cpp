@@ -59,6 +59,10 @@ void check_layout(const std::filesystem::path& path, const RowLayout& layout) {
     if (++seen[field.name] == 2) throw Error(concat(path.string(), ": two point properties are named '", field.name, "'"));
 }
 
+bool all_are(const RowField* fields, ScalarType type, bool scaled) {
+  return std::all_of(fields, fields + 3, [&](const RowField& f) { return f.type == type && f.scaled == scaled && f.mask == 0; });
+}
+
 }  // namespace
 
 std::string_view scalar_name(ScalarType type) {
@@ -115,6 +119,8 @@ void RowDecoder::find_roles(const std::filesystem::path& path) {
   for (const RowField& f : position_)
     schema_.position_is_double |= f.type == ScalarType::kF64 || f.type == ScalarType::kI32 || f.type == ScalarType::kU32 ||
                                   f.type == ScalarType::kI64 || f.type == ScalarType::kU64;
+  if (all_are(position_, ScalarType::kI32, true))
+    schema_.grid = PositionGrid{{position_[0].scale, position_[1].scale, position_[2].scale}, {position_[0].add, position_[1].add, position_[2].add}};
   for (const RowField& f : colour_) samples_wanted_ |= schema_.has_colour && f.type != ScalarType::kU8;
   for (std::size_t i = 0; i < used.size(); ++i)
     if (!used[i]) add_extra(layout_.fields[i]);
@@ -172,14 +178,6 @@ void RowDecoder::decode_at(const std::byte* rows, std::size_t count, PointBlock&
   if (schema_.has_colour) decode_colours(rows, count, block.colour.data() + first);
   if (parts_ == PointParts::kAll && extra_bytes_ > 0) decode_extras(rows, count, block.extras.data() + first * extra_bytes_);
 }
-
-namespace {
-
-bool all_are(const RowField* fields, ScalarType type, bool scaled) {
-  return std::all_of(fields, fields + 3, [&](const RowField& f) { return f.type == type && f.scaled == scaled && f.mask == 0; });
-}
-
-}  // namespace
 
 // The two layouts that nearly all large files have get loops of their own: plain floats, and integers with a scale.
 void RowDecoder::decode_positions(const std::byte* rows, std::size_t count, Vec3d* to) const {

@@ -1,6 +1,7 @@
 #include "stream/store/count_grid.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 
 #include "stream/base/error.h"
@@ -68,7 +69,7 @@ Vec3d RootCube::origin() const {
 }
 
 std::array<std::uint64_t, 3> RootCube::quantise(const Vec3d& p) const {
-  const auto c = floor_cell(p, std::ldexp(1.0, kAxisBits - exponent));
+  const auto c = floor_cell(p, std::bit_cast<double>(static_cast<std::uint64_t>(1023 + kAxisBits - exponent) << 52));  // 2^(37 - exponent)
   constexpr std::int64_t kLast = (std::int64_t{1} << kAxisBits) - 1;
   std::array<std::uint64_t, 3> q;
   for (std::size_t a = 0; a < 3; ++a) q[a] = static_cast<std::uint64_t>(std::clamp<std::int64_t>(c[a] - corner[a], 0, kLast));

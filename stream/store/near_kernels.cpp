@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <utility>
 
 #include "stream/store/block.h"
 
@@ -63,10 +64,9 @@ std::size_t collect_plain(const CandidateView& c, float px, float py, float pz, 
   return n;
 }
 
-std::size_t select_plain(const CandidateView& c, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out) {
+std::size_t select_plain(const CandidateView& c, std::size_t first, std::size_t last, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, std::size_t n, Selection& out) {
   const auto gap = [](float p, float low, float high) { return std::max(0.0f, std::max(low - p, p - high)); };
-  std::size_t n = 0;
-  for (std::size_t k = 0; k < c.num; ++k) {
+  for (std::size_t k = first; k < last; ++k) {
     const float dx = gap(c.x[k], min[0], max[0]), dy = gap(c.y[k], min[1], max[1]), dz = gap(c.z[k], min[2], max[2]);
     out.x[n] = c.x[k];
     out.y[n] = c.y[k];
@@ -75,6 +75,48 @@ std::size_t select_plain(const CandidateView& c, const std::array<float, 3>& min
     n += dx * dx + dy * dy + dz * dz <= limit;
   }
   return n;
+}
+
+void grow(Selection& s, std::size_t size) {
+  if (s.x.size() >= size) return;
+  size = std::max(size, 2 * s.x.size());
+  for (std::vector<float>* v : {&s.x, &s.y, &s.z}) v->resize(size);
+  s.index.resize(size);
+}
+
+unsigned boxes_plain(const EightBoxes& b, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit) {
+  unsigned mask = 0;
+  for (std::size_t i = 0; i < kLanes; ++i) {
+    float d = 0;
+    for (std::size_t a = 0; a < 3; ++a) {
+      const float gap = std::max(0.0f, std::max(min[a] - b.max[a][i], b.min[a][i] - max[a]));
+      d = a == 0 ? gap * gap : d + gap * gap;
+    }
+    mask |= static_cast<unsigned>(d <= limit) << i;
+  }
+  return mask;
+}
+
+// Visits the groups whose boxes come within the limit, in order.
+template <class Boxes, class Group>
+CHIARO_INLINE void visit_tree(const BoxLevels& levels, const Boxes& boxes, const Group& group) {
+  // Elements to look at: their level and number. A level adds at most eight, of which one is taken up at once.
+  std::array<std::pair<std::uint32_t, std::uint32_t>, 128> stack;
+  std::size_t depth = 0;
+  stack[depth++] = {static_cast<std::uint32_t>(levels.size() - 1), 0};
+  while (depth > 0) {
+    const auto [level, element] = stack[--depth];
+    unsigned mask = boxes(levels[level][element]);
+    if (level == 0) {
+      for (; mask != 0; mask &= mask - 1) group(8 * element + static_cast<std::uint32_t>(__builtin_ctz(mask)));
+      continue;
+    }
+    while (mask != 0) {  // the last is pushed first
+      const auto top = static_cast<std::uint32_t>(31 - __builtin_clz(mask));
+      stack[depth++] = {level - 1, 8 * element + top};
+      mask ^= 1u << top;
+    }
+  }
 }
 
 // Sums of the eight lanes of nine vectors, always in the same order.
@@ -260,14 +302,26 @@ CHIARO_AVX2 std::size_t collect_avx2(const CandidateView& c, float px, float py,
   return n;
 }
 
-CHIARO_AVX2 std::size_t select_avx2(const CandidateView& c, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out) {
+CHIARO_AVX2 unsigned boxes_avx2(const EightBoxes& b, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit) {
+  const __m256 zero = _mm256_setzero_ps();
+  __m256 d = zero;
+  for (std::size_t a = 0; a < 3; ++a) {
+    const __m256 below = _mm256_sub_ps(_mm256_set1_ps(min[a]), _mm256_loadu_ps(b.max[a])), above = _mm256_sub_ps(_mm256_loadu_ps(b.min[a]), _mm256_set1_ps(max[a]));
+    const __m256 gap = _mm256_max_ps(zero, _mm256_max_ps(below, above)), square = _mm256_mul_ps(gap, gap);
+    d = a == 0 ? square : _mm256_add_ps(d, square);
+  }
+  return static_cast<unsigned>(_mm256_movemask_ps(_mm256_cmp_ps(d, _mm256_set1_ps(limit), _CMP_LE_OQ)));
+}
+
+// Behind the last candidate, up to a multiple of eight, there are far ones.
+CHIARO_AVX2 std::size_t select_avx2(const CandidateView& c, std::size_t first, std::size_t last, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit,
+                                    std::size_t n, Selection& out) {
   const __m256 low_x = _mm256_set1_ps(min[0]), low_y = _mm256_set1_ps(min[1]), low_z = _mm256_set1_ps(min[2]);
   const __m256 high_x = _mm256_set1_ps(max[0]), high_y = _mm256_set1_ps(max[1]), high_z = _mm256_set1_ps(max[2]);
   const __m256 most = _mm256_set1_ps(limit), zero = _mm256_setzero_ps();
   const __m256i eight = _mm256_set1_epi32(8);
-  __m256i number = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
-  std::size_t n = 0;
-  for (std::size_t k = 0; k < c.num; k += kLanes) {
+  __m256i number = _mm256_add_epi32(_mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), _mm256_set1_epi32(static_cast<int>(first)));
+  for (std::size_t k = first; k < last; k += kLanes) {
     const __m256 x = _mm256_loadu_ps(c.x + k), y = _mm256_loadu_ps(c.y + k), z = _mm256_loadu_ps(c.z + k);
     const __m256 dx = _mm256_max_ps(zero, _mm256_max_ps(_mm256_sub_ps(low_x, x), _mm256_sub_ps(x, high_x)));
     const __m256 dy = _mm256_max_ps(zero, _mm256_max_ps(_mm256_sub_ps(low_y, y), _mm256_sub_ps(y, high_y)));
@@ -286,6 +340,14 @@ CHIARO_AVX2 std::size_t select_avx2(const CandidateView& c, const std::array<flo
     number = _mm256_add_epi32(number, eight);
   }
   return n;
+}
+
+CHIARO_AVX2 void tree_avx2(const CandidateView& c, const BoxLevels& levels, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out) {
+  visit_tree(levels, [&](const EightBoxes& b) { return boxes_avx2(b, min, max, limit); },
+             [&](std::uint32_t group) {
+               grow(out, out.num + kBoxedPoints + 2 * kLanes);
+               out.num = select_avx2(c, group * kBoxedPoints, group * kBoxedPoints + kBoxedPoints, min, max, limit, out.num, out);
+             });
 }
 
 CHIARO_AVX2 void nearest_avx2(const CandidateView& c, const EightPoints& p, Nearest& out) {
@@ -337,16 +399,24 @@ void nearest_of(const CandidateView& c, const EightPoints& p, Nearest& out) {
 }
 
 void select_near_box(const CandidateView& c, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out) {
-  if (out.x.size() < c.num + 2 * kLanes) {
-    for (std::vector<float>* v : {&out.x, &out.y, &out.z}) v->resize(c.num + 2 * kLanes);
-    out.index.resize(c.num + 2 * kLanes);
-  }
+  grow(out, c.num + 2 * kLanes);
 #if defined(CHIARO_AVX2)
-  out.num = kHasAvx2 ? select_avx2(c, min, max, limit, out) : select_plain(c, min, max, limit, out);
+  out.num = kHasAvx2 ? select_avx2(c, 0, c.num, min, max, limit, 0, out) : select_plain(c, 0, c.num, min, max, limit, 0, out);
 #else
-  out.num = select_plain(c, min, max, limit, out);
+  out.num = select_plain(c, 0, c.num, min, max, limit, 0, out);
 #endif
   for (std::size_t k = out.num; k < out.num + kLanes; ++k) out.x[k] = out.y[k] = out.z[k] = 1e30f;
+}
+
+void select_from_tree(const CandidateView& c, const BoxLevels& levels, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out) {
+#if defined(CHIARO_AVX2)
+  if (kHasAvx2) return tree_avx2(c, levels, min, max, limit, out);
+#endif
+  visit_tree(levels, [&](const EightBoxes& b) { return boxes_plain(b, min, max, limit); },
+             [&](std::uint32_t group) {
+               grow(out, out.num + kBoxedPoints + 2 * kLanes);
+               out.num = select_plain(c, group * kBoxedPoints, group * kBoxedPoints + kBoxedPoints, min, max, limit, out.num, out);
+             });
 }
 
 void collect_within(const CandidateView& c, float x, float y, float z, float limit, NeighbourRow& out) {

@@ -27,6 +27,16 @@ struct Selection {
 /// Those within sqrt(limit) of a box.
 void select_near_box(const CandidateView& candidates, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out);
 
+/// A tree over points in groups of sixteen: level 0 holds the boxes of groups 8 i .. 8 i + 7 in its element i, each further level those of the elements below.
+/// The last level has one element. Boxes that nothing fills are turned inside out.
+struct EightBoxes {
+  float min[3][8], max[3][8];
+};
+using BoxLevels = std::vector<std::vector<EightBoxes>>;
+inline constexpr std::size_t kBoxedPoints = 16;
+/// Appends the points within sqrt(limit) of a box, in their order. points: whole groups, padded with far ones.
+void select_from_tree(const CandidateView& points, const BoxLevels& levels, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out);
+
 struct EightPoints {
   std::array<float, kLanes> x, y, z;
 };

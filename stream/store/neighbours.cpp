@@ -27,74 +27,37 @@ float gap_squared(const FlatBox& a, const FlatBox& b) {
   return sum;
 }
 
+EightBoxes no_boxes() {
+  EightBoxes b;
+  for (std::size_t a = 0; a < 3; ++a)
+    for (std::size_t i = 0; i < 8; ++i) {
+      b.min[a][i] = kFar;
+      b.max[a][i] = -kFar;
+    }
+  return b;
+}
+
+void put(BoxLevels& levels, std::size_t level, std::size_t number, const FlatBox& box) {
+  if (number / 8 >= levels[level].size()) levels[level].push_back(no_boxes());
+  EightBoxes& b = levels[level][number / 8];
+  for (std::size_t a = 0; a < 3; ++a) {
+    b.min[a][number % 8] = box.min[a];
+    b.max[a][number % 8] = box.max[a];
+  }
+}
+
 void build_levels(HaloChunk& c) {
-  const std::size_t groups = c.x.size() / HaloChunk::kGroup;
-  c.levels.emplace_back(groups, empty_box());
-  for (std::size_t i = 0; i < c.size; ++i) extend(c.levels[0][i / HaloChunk::kGroup], {{c.x[i], c.y[i], c.z[i]}, {c.x[i], c.y[i], c.z[i]}});
-  while (c.levels.back().size() > 1) {
-    const std::vector<FlatBox>& below = c.levels.back();
-    std::vector<FlatBox> above((below.size() + 7) / 8, empty_box());
-    for (std::size_t i = 0; i < below.size(); ++i) extend(above[i / 8], below[i]);
-    c.levels.push_back(std::move(above));
+  std::vector<FlatBox> boxes(c.x.size() / HaloChunk::kGroup, empty_box());
+  for (std::size_t i = 0; i < c.size; ++i) extend(boxes[i / HaloChunk::kGroup], {{c.x[i], c.y[i], c.z[i]}, {c.x[i], c.y[i], c.z[i]}});
+  for (;;) {
+    c.levels.emplace_back();
+    for (std::size_t i = 0; i < boxes.size(); ++i) put(c.levels, c.levels.size() - 1, i, boxes[i]);
+    std::vector<FlatBox> above((boxes.size() + 7) / 8, empty_box());
+    for (std::size_t i = 0; i < boxes.size(); ++i) extend(above[i / 8], boxes[i]);
+    boxes = std::move(above);
+    if (boxes.size() == 1) break;
   }
-}
-
-// Visits the groups whose box comes within the radius, in order.
-template <class F>
-void visit_groups(const HaloChunk& c, std::size_t level, std::size_t node, const FlatBox& box, float radius_squared, const F& body) {
-  if (gap_squared(c.levels[level][node], box) > radius_squared) return;
-  if (level == 0) return body(node);
-  const std::size_t end = std::min(c.levels[level - 1].size(), 8 * node + 8);
-  for (std::size_t i = 8 * node; i < end; ++i) visit_groups(c, level - 1, i, box, radius_squared, body);
-}
-
-// Numbers of the points of a group within the radius of the box.
-std::size_t inside_of(const float* x, const float* y, const float* z, std::size_t count, const FlatBox& box, float radius_squared, std::array<std::uint32_t, HaloChunk::kGroup>& which) {
-  std::array<float, HaloChunk::kGroup> distance;
-  const auto gap = [](float p, float low, float high) {
-    const float q = p < low ? low : p;
-    return p - (q > high ? high : q);
-  };
-  for (std::size_t i = 0; i < HaloChunk::kGroup; ++i) {
-    const float dx = gap(x[i], box.min[0], box.max[0]), dy = gap(y[i], box.min[1], box.max[1]), dz = gap(z[i], box.min[2], box.max[2]);
-    distance[i] = dx * dx + dy * dy + dz * dz;
-  }
-  std::size_t n = 0;
-  for (std::size_t i = 0; i < count; ++i) {
-    which[n] = static_cast<std::uint32_t>(i);
-    n += distance[i] <= radius_squared;
-  }
-  return n;
-}
-
-void gather_from(const HaloChunk& c, const FlatBox& box, float radius, const Vec3d* shift, bool with_normals, Candidates& out) {
-  visit_groups(c, c.levels.size() - 1, 0, box, radius * radius, [&](std::size_t group) {
-    constexpr std::size_t kGroup = HaloChunk::kGroup;
-    const std::size_t begin = group * kGroup, count = std::min<std::size_t>(c.size - begin, kGroup);
-    std::array<std::uint32_t, kGroup> which;
-    const std::size_t n = inside_of(&c.x[begin], &c.y[begin], &c.z[begin], count, box, radius * radius, which);
-    out.reserve(out.num + n + kGroup);
-    for (std::size_t i = 0; i < n; ++i) {
-      const std::size_t from = begin + which[i], to = out.num + i;
-      out.x[to] = c.x[from];
-      out.y[to] = c.y[from];
-      out.z[to] = c.z[from];
-      if (with_normals) {
-        out.nx[to] = c.nx[from];
-        out.ny[to] = c.ny[from];
-        out.nz[to] = c.nz[from];
-        out.flags[to] = c.flags[from];
-      }
-    }
-    if (shift) {
-      for (std::size_t i = out.num; i < out.num + n; ++i) {
-        out.x[i] = static_cast<float>(shift->x() + out.x[i]);
-        out.y[i] = static_cast<float>(shift->y() + out.y[i]);
-        out.z[i] = static_cast<float>(shift->z() + out.z[i]);
-      }
-    }
-    out.num += n;
-  });
+  c.bounds = boxes[0];
 }
 
 }  // namespace
@@ -210,6 +173,35 @@ void Neighbourhood::find_near(float radius) {
     }
     near_.push_back(n);
   }
+}
+
+void Neighbourhood::gather_from(const HaloChunk& c, const FlatBox& box, float radius, const Vec3d* shift, bool with_normals, Candidates& out) {
+  selection_.num = 0;
+  select_from_tree({c.x.data(), c.y.data(), c.z.data(), c.x.size()}, c.levels, box.min, box.max, radius * radius, selection_);
+  const std::size_t n = selection_.num;
+  out.reserve(out.num + n + 8);
+  for (std::size_t i = 0; i < n; ++i) {
+    out.x[out.num + i] = selection_.x[i];
+    out.y[out.num + i] = selection_.y[i];
+    out.z[out.num + i] = selection_.z[i];
+  }
+  if (with_normals) {
+    for (std::size_t i = 0; i < n; ++i) {
+      const std::size_t from = selection_.index[i], to = out.num + i;
+      out.nx[to] = c.nx[from];
+      out.ny[to] = c.ny[from];
+      out.nz[to] = c.nz[from];
+      out.flags[to] = c.flags[from];
+    }
+  }
+  if (shift) {
+    for (std::size_t i = out.num; i < out.num + n; ++i) {
+      out.x[i] = static_cast<float>(shift->x() + out.x[i]);
+      out.y[i] = static_cast<float>(shift->y() + out.y[i]);
+      out.z[i] = static_cast<float>(shift->z() + out.z[i]);
+    }
+  }
+  out.num += n;
 }
 
 void Neighbourhood::gather(const FlatBox& box, float radius, bool with_normals, Candidates& out) {

@@ -9,13 +9,14 @@
 
 #include "stream/base/budget.h"
 #include "stream/base/file.h"
+#include "stream/store/near_kernels.h"
 #include "stream/store/store.h"
 
 namespace chiaro::stream {
 
 /// The distinct positions of a leaf: points on one spot are one entry.
 struct HaloChunk {
-  static constexpr std::uint32_t kGroup = 16;        ///< points in a box of the lowest level
+  static constexpr std::uint32_t kGroup = kBoxedPoints;
   std::uint32_t index = 0;
   Vec3d origin_in_world;
   std::uint32_t size = 0;                            ///< distinct positions
@@ -26,7 +27,8 @@ struct HaloChunk {
   struct FlatBox {
     std::array<float, 3> min, max;
   };
-  std::vector<std::vector<FlatBox>> levels;          ///< levels[0]: groups; levels[l + 1]: 8 boxes of levels[l] each
+  FlatBox bounds{};
+  BoxLevels levels;                                  ///< of groups of kGroup points
   static std::uint64_t bytes_for(std::uint32_t count);
 };
 std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count, bool with_normals);
@@ -81,11 +83,13 @@ class Neighbourhood {
     HaloChunk::FlatBox box;  ///< in the own frame, grown for rounding
   };
   void find_near(float radius);
+  void gather_from(const HaloChunk& chunk, const HaloChunk::FlatBox& box, float radius, const Vec3d* shift, bool with_normals, Candidates& out);
   std::shared_ptr<const HaloChunk> own_;
   Box3d own_bounds_;
   const Find& find_;
   HaloCache& cache_;
   std::vector<Near> near_;
+  Selection selection_;
   float near_radius_ = 0;    ///< near_ holds all leaves that come this close
 };
 

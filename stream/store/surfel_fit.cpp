@@ -81,7 +81,7 @@ class Walker {
   float clamped(float radius) const { return std::clamp(radius, options_.max_radius * 1e-6f, options_.max_radius); }
 
   float first_guess() const {
-    const FlatBox& b = own_.levels.back()[0];
+    const FlatBox& b = own_.bounds;
     float edges[3] = {b.max[0] - b.min[0], b.max[1] - b.min[1], b.max[2] - b.min[2]};
     std::sort(edges, edges + 3);
     const float spacing = std::sqrt(edges[2] * std::max(edges[1], edges[2] * 0.01f) / static_cast<float>(own_.size));
