@@ -287,16 +287,15 @@ CHIARO_AVX2 std::size_t collect_avx2(const CandidateView& c, float px, float py,
     const __m256 dx = _mm256_sub_ps(_mm256_loadu_ps(c.x + k), x0), dy = _mm256_sub_ps(_mm256_loadu_ps(c.y + k), y0), dz = _mm256_sub_ps(_mm256_loadu_ps(c.z + k), z0);
     const __m256 d = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(dx, dx), _mm256_mul_ps(dy, dy)), _mm256_mul_ps(dz, dz));
     const auto mask = static_cast<unsigned>(_mm256_movemask_ps(_mm256_and_ps(_mm256_cmp_ps(d, most, _CMP_LE_OQ), _mm256_cmp_ps(d, zero, _CMP_GT_OQ))));
-    if (mask != 0) {
-      const __m256i order = _mm256_load_si256(reinterpret_cast<const __m256i*>(kCompression.lane[mask]));
-      _mm256_storeu_ps(x + n, _mm256_permutevar8x32_ps(dx, order));
-      _mm256_storeu_ps(y + n, _mm256_permutevar8x32_ps(dy, order));
-      _mm256_storeu_ps(z + n, _mm256_permutevar8x32_ps(dz, order));
-      _mm256_storeu_ps(d2 + n, _mm256_permutevar8x32_ps(d, order));
-      const __m256i index = c.index ? _mm256_loadu_si256(reinterpret_cast<const __m256i*>(c.index + k)) : number;
-      _mm256_storeu_si256(reinterpret_cast<__m256i*>(candidate + n), _mm256_permutevar8x32_epi32(index, order));
-      n += static_cast<std::size_t>(_mm_popcnt_u32(mask));
-    }
+    // No branch: which of the eight are near is hard to foretell.
+    const __m256i order = _mm256_load_si256(reinterpret_cast<const __m256i*>(kCompression.lane[mask]));
+    const __m256i index = c.index ? _mm256_loadu_si256(reinterpret_cast<const __m256i*>(c.index + k)) : number;
+    _mm256_storeu_ps(x + n, _mm256_permutevar8x32_ps(dx, order));
+    _mm256_storeu_ps(y + n, _mm256_permutevar8x32_ps(dy, order));
+    _mm256_storeu_ps(z + n, _mm256_permutevar8x32_ps(dz, order));
+    _mm256_storeu_ps(d2 + n, _mm256_permutevar8x32_ps(d, order));
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(candidate + n), _mm256_permutevar8x32_epi32(index, order));
+    n += static_cast<std::size_t>(_mm_popcnt_u32(mask));
     number = _mm256_add_epi32(number, eight);
   }
   return n;

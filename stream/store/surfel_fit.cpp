@@ -338,10 +338,9 @@ Plane plane_of_scales(const MomentsAt& moments_at) {
   if (narrowest == 0) return best;
   if (best.line || best.isolated) return plane_of(moments_at(0));
   const double limit = kPlaneGrowth * kPlaneGrowth * best.variance_off;
-  for (std::size_t s = narrowest; s-- > 0;) {
+  for (std::size_t s = 0; s < narrowest; ++s) {  // the widest first: on flat ground it is the answer
     const Plane wider = plane_of(moments_at(s));
-    if (wider.line || wider.isolated || wider.variance_off > limit) break;
-    best = wider;
+    if (!wider.line && !wider.isolated && wider.variance_off <= limit) return wider;
   }
   return best;
 }
