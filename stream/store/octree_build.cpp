@@ -19,6 +19,7 @@ namespace {
 
 constexpr int kAlgorithmVersion = 3;      // part of the key: raise when the same input gives another store
 constexpr std::size_t kBlockPoints = 65536;
+constexpr std::uint64_t kMostPartitionPoints = 400'000;
 constexpr double kMaxCoordinate = 1e9;    // project units
 constexpr std::uint64_t kMaxPoints = std::uint64_t{1} << 40;
 constexpr const char* kNotFinite = "not finite";
@@ -157,8 +158,10 @@ class Builder {
     m.edge = b_.root.edge();
     const auto cells = grid.cells(b_.root);
     const BudgetLease lease(budget_, cells.size() * sizeof(cells[0]), "counting grid");
-    // Half a worker's room: the partitions of a build that is resumed with less memory should still fit.
-    const std::uint64_t capacity = std::max<std::uint64_t>(leaf_workers(budget_, options_.chunk_surfels).capacity / 2, options_.chunk_surfels);
+    // Half a worker's room: the partitions of a build that is resumed with less memory should still fit. And no more than the processor's caches and the
+    // allocator handle well.
+    const std::uint64_t room = std::min(leaf_workers(budget_, options_.chunk_surfels).capacity / 2, kMostPartitionPoints);
+    const std::uint64_t capacity = std::max<std::uint64_t>(room, options_.chunk_surfels);
     b_.partitions = make_partitions(cells, grid.level(b_.root), options_.chunk_surfels, capacity);
   }
 
@@ -197,13 +200,15 @@ class Builder {
     report_.begin("distribute points", b_.manifest.points_read, "points");
     for_each_block(input_, PointParts::kNoExtras, budget_, [&](std::size_t cloud, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
       report_.check();
+      const PositionGrid* grid = grids_[cloud] ? &*grids_[cloud] : nullptr;
+      const Vec3d inverse = grid ? Vec3d(grid->scale.cwiseInverse()) : Vec3d::Zero();
       parallel_blocks(block.size(), 4096, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
           if (rejection(first + i, block.position[i])) {
             partition[i] = kRejected;
             continue;
           }
-          points[i] = make_point(schema, grids_[cloud] ? &*grids_[cloud] : nullptr, first + i, block, i);
+          points[i] = make_point(schema, grid, inverse, first + i, block, i);
           const auto q = b_.root.quantise(block.position[i]);
           partition[i] = static_cast<std::uint32_t>(writer.partition_of(morton_encode(q[0] >> kLocalBits, q[1] >> kLocalBits, q[2] >> kLocalBits)));
           if (!points[i].grid) points[i].place = {static_cast<std::int64_t>(q[0]), static_cast<std::int64_t>(q[1]), static_cast<std::int64_t>(q[2])};
@@ -240,10 +245,10 @@ class Builder {
     return most;
   }
 
-  SpillPoint make_point(const PointSchema& schema, const PositionGrid* grid, std::uint64_t number, const PointBlock& block, std::size_t i) const {
+  SpillPoint make_point(const PointSchema& schema, const PositionGrid* grid, const Vec3d& inverse, std::uint64_t number, const PointBlock& block, std::size_t i) const {
     SpillPoint p;
     if (grid) {
-      const Vec3d k = ((block.position[i] - grid->add).array() / grid->scale.array()).matrix();
+      const Vec3d k = ((block.position[i] - grid->add).array() * inverse.array()).matrix();
       if (k.cwiseAbs().maxCoeff() < 0x1p40) {
         for (std::size_t a = 0; a < 3; ++a) p.place[a] = static_cast<std::int64_t>(k[static_cast<int>(a)] + (k[static_cast<int>(a)] < 0 ? -0.5 : 0.5));
         if (grid->position(p.place) == block.position[i]) p.grid = grid;

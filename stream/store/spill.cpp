@@ -39,14 +39,21 @@ using Values = std::vector<std::int64_t>;
 
 ColumnHeader header_of(const Values& values, bool colour) {
   ColumnHeader h;
-  const auto [low, high] = std::minmax_element(values.begin(), values.end());
+  std::int64_t low = values[0], high = low;
+  for (const std::int64_t v : values) {
+    low = std::min(low, v);
+    high = std::max(high, v);
+  }
+  h.min = low;
+  if (low == high) return h;
+  h.min = 0;
   std::uint64_t differ = 0;
   if (colour && std::all_of(values.begin(), values.end(), [](std::int64_t v) { return v % static_cast<std::int64_t>(kColourStep) == 0; })) {
     h.factor = kColourStep;
-    differ = static_cast<std::uint64_t>(*high) / kColourStep;
+    differ = static_cast<std::uint64_t>(high) / kColourStep;
   } else {
-    h.min = *low;
-    for (const std::int64_t v : values) differ |= static_cast<std::uint64_t>(v - *low);
+    h.min = low;
+    for (const std::int64_t v : values) differ |= static_cast<std::uint64_t>(v - low);
   }
   h.shift = static_cast<std::uint8_t>(differ == 0 ? 0 : std::countr_zero(differ));
   if (h.factor != 1) h.shift = 0;

@@ -56,8 +56,9 @@ struct NeighbourList {
   }
 };
 
-/// Goes through a chunk in groups of consecutive points that share a search. Fit answers: fit_near() fits a point from a view that holds all its
-/// neighbours, with their numbers among the candidates, or refuses; fit_one() fits one from a complete list, or refuses and gets a larger one.
+/// Goes through a chunk in groups of consecutive points that share a search. Fit answers: fit_nearest() fits a point from a view that holds all points up to a
+/// distance, kNearShare of the usual radius of the neighbourhood, or refuses; fit_near() from a view that holds all its neighbours, with their numbers among
+/// the candidates, or refuses; fit_one() fits one from a complete list, or refuses and gets a larger one.
 template <class Fit>
 class Walker {
  public:
@@ -122,32 +123,33 @@ class Walker {
 
   // First the six nearest, which say how far each point looks; then the points within the largest of these distances, for the whole group.
   void run_group(std::uint32_t begin, std::uint32_t end) {
-    const float near = kNearShare * guess_;
+    const float near = Fit::kNearShare * guess_;
     const Candidates* numbered = nullptr;
     CandidateView view = near_group(near, numbered);
     std::array<Nearest, HaloChunk::kGroup / kLanes> nearest;
     std::array<float, HaloChunk::kGroup> wanted{};
-    float most = 0;
+    std::array<std::array<float, kNearest>, HaloChunk::kGroup> squared;
+    std::array<bool, HaloChunk::kGroup> fitted{};
+    float most = 0, sum = 0;
     for (std::uint32_t first = begin; first < end; first += kLanes) {
       Nearest& n = nearest[(first - begin) / kLanes];
       nearest_of(view, eight_points(first, end), n);
       for (std::uint32_t i = first; i < std::min(end, first + kLanes); ++i) {
-        const float sixth = n.squared[kNearest - 1][i - first];
+        const std::uint32_t at = i - begin;
+        for (std::size_t k = 0; k < kNearest; ++k) squared[at][k] = n.squared[k][i - first];
+        const float sixth = squared[at][kNearest - 1];
         const float radius = std::sqrt(sixth) / kSixthInSpacings * static_cast<float>(options_.radius_spacings);
         if (!(sixth <= near * near) || !(radius <= options_.max_radius)) continue;
-        wanted[i - begin] = radius;
-        most = std::max(most, radius);
+        wanted[at] = radius;
+        fitted[at] = fit_.fit_nearest(i, squared[at], view, *numbered, radius, near);
+        if (!fitted[at]) most = std::max(most, radius);
       }
     }
     if (most > 0) view = near_group(most, numbered);
-    float sum = 0;
     for (std::uint32_t i = begin; i < end; ++i) {
-      const Nearest& n = nearest[(i - begin) / kLanes];
-      const std::uint32_t lane = (i - begin) % kLanes;
-      std::array<float, kNearest> squared;
-      for (std::size_t k = 0; k < kNearest; ++k) squared[k] = n.squared[k][lane];
-      float& radius = wanted[i - begin];
-      if (radius == 0 || !fit_.fit_near(i, squared, view, *numbered, radius)) radius = search_carefully(i, std::sqrt(squared[kNearest - 1]), near);
+      const std::uint32_t at = i - begin;
+      float& radius = wanted[at];
+      if (!fitted[at] && (radius == 0 || !fit_.fit_near(i, squared[at], view, *numbered, radius))) radius = search_carefully(i, std::sqrt(squared[at][kNearest - 1]), near);
       sum += radius;
     }
     guess_ = clamped(sum / static_cast<float>(end - begin));  // the next group is probably as dense as this one
@@ -220,8 +222,6 @@ class Walker {
     list_.radius = wanted;
   }
 
-  // The sixth neighbour is at 0.39 to 0.41 of the radius that is wanted; this finds it for all but few points whose surroundings are sparser than the mean.
-  static constexpr float kNearShare = 0.6f;
   Neighbourhood& around_;
   const HaloChunk& own_;
   const FitOptions& options_;
@@ -254,7 +254,7 @@ Vec3d eigenvalues_of(const Mat3d& a) {
     if (!(slope > 1e-12)) break;
     const double step = (c0 - root * (c1 + root * (root - 1))) / slope;
     root += step;
-    if (!(step > 1e-9 * root)) break;  // quadratic: the next step would be the square
+    if (!(step > 1e-5 * root)) break;  // the next one would be about the square of it
   }
   const double sum = 1 - root, product = std::max(0.0, c1 - root * sum);
   const double largest = 0.5 * (sum + std::sqrt(std::max(0.0, sum * sum - 4 * product)));
@@ -348,7 +348,11 @@ Plane plane_of_scales(const MomentsAt& moments_at) {
 class NormalFitter {
  public:
   static constexpr bool kNeedsNormals = false;
+  // The sixth neighbour is at 0.39 of the radius; this finds it for all but few points whose surroundings are sparser than the mean.
+  static constexpr float kNearShare = 0.6f;
   NormalFitter(const HaloChunk& own, const FitOptions& options, std::vector<NormalFit>& fits) : own_(own), options_(options), fits_(fits) {}
+
+  bool fit_nearest(std::uint32_t, const std::array<float, kNearest>&, const CandidateView&, const Candidates&, float, float) { return false; }
 
   bool fit_near(std::uint32_t i, const std::array<float, kNearest>&, const CandidateView& view, const Candidates&, float radius) {
     collect_within(view, own_.x[i], own_.y[i], own_.z[i], radius * radius, row_);
@@ -460,11 +464,19 @@ class RadiusFitter {
   RadiusFitter(const HaloChunk& own, const FitOptions& options, std::vector<RadiusFit>& fits) : own_(own), options_(options), fits_(fits) {}
 
   static constexpr bool kNeedsNormals = true;
+  static constexpr float kNearShare = 0.72f;
+
+  // The nearest half of the neighbours settles most cells: what is further than twice the farthest corner cuts nothing.
+  bool fit_nearest(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const CandidateView& view, const Candidates& c, float radius, float near) {
+    const float reach = std::min(near, kNearShare * radius);
+    collect_within(view, own_.x[i], own_.y[i], own_.z[i], reach * reach, row_);
+    return row_.num <= options_.most / 2 && fit_inside(i, nearest_squared, c, radius, reach);
+  }
 
   bool fit_near(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const CandidateView& view, const Candidates& c, float radius) {
     collect_within(view, own_.x[i], own_.y[i], own_.z[i], radius * radius, row_);
     if (row_.num > options_.most) return false;
-    if (fit_inside(i, nearest_squared, c, radius)) return true;
+    if (fit_inside(i, nearest_squared, c, radius, kAllNeighbours)) return true;
     make_list(nearest_squared, radius);
     return fit_one(i, list_, c, false);
   }
@@ -483,6 +495,7 @@ class RadiusFitter {
 
  private:
   static constexpr float kEdgeReach = 2.2f, kOtherFace = 0.82f;
+  static constexpr float kAllNeighbours = 1e30f;
 
   // Near an evenly sampled surface the search finds pi * spacings^2 points. An outlier finds many more, all on one side of it.
   bool is_outlier(std::uint32_t i, const NeighbourList& list) const {
@@ -495,22 +508,34 @@ class RadiusFitter {
     return height * height > 0.1f * list.nearest_squared[kNearest - 1];
   }
 
-  // What nearly all points are: amid a smooth surface, their cell closed by neighbours on all sides. False for all others.
-  bool fit_inside(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const Candidates& c, float radius) {
+  // What nearly all points are: amid a smooth surface, their cell closed by neighbours on all sides. False for all others, and if the neighbours within
+  // `reach`, which are in the row, do not tell.
+  bool fit_inside(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const Candidates& c, float radius, float reach) {
     if ((own_.flags[i] & SurfelBlock::kIsolated) || row_.num < kNearest) return false;
     const float mean = mean_distance(nearest_squared);
+    if (kEdgeReach * mean > reach) return false;
     const float scale = std::max(mean, radius < options_.max_radius ? radius / static_cast<float>(options_.radius_spacings) : 0.0f);
     const Vec3f normal(own_.nx[i], own_.ny[i], own_.nz[i]), u = across(normal), v = normal.cross(u);
     TangentFrame frame{{normal.x(), normal.y(), normal.z()}, {u.x(), u.y(), u.z()}, {v.x(), v.y(), v.z()}, (own_.flags[i] & SurfelBlock::kOriented) != 0, kEdgeReach * mean, kOtherFace};
     normals_.take(c.nx.data(), c.ny.data(), c.nz.data(), c.flags.data(), row_);
     if (!lines_.make(row_, normals_, frame)) return false;  // an edge is near
     const float half = 3 * scale;
-    const float within = farthest_corner(half, scale);
+    bool open = false;
+    const float within = farthest_corner(half, scale, reach, open);
     if (!(within > 0)) return false;
+    if (open) {
+      make_list(nearest_squared, radius);
+      if (is_line(list_)) return false;
+    }
     fits_[i] = RadiusFit{};
     fits_[i].mean_of_nearest = mean;
-    fits_[i].radius = std::min(1.1f * within, half);
+    fits_[i].radius = disc_radius(within, scale, open);
     return true;
+  }
+
+  static float disc_radius(float within, float scale, bool open) {
+    if (!open) return std::min(1.1f * within, 3 * scale);
+    return std::clamp(1.1f * within, 0.75f * scale, std::max(1.1f * within, scale));
   }
 
   struct CellCorner {
@@ -524,9 +549,10 @@ class RadiusFitter {
     }
   };
 
-  // Distance of the farthest corner of the Voronoi cell in the tangent plane; 0 if the cell is open, or a corner beyond `scale` may lie outside the surface.
-  // Eight lines make a cell that is too large; its corners are cut, the farthest first, until those that matter are right.
-  float farthest_corner(float half, float scale) {
+  // Distance of the farthest corner of the Voronoi cell in the tangent plane, of those that lie inside the surface; open: there are others. 0 if the cell is not
+  // closed by neighbours, or cannot be told from those within `reach`. Eight lines make a cell that is too large; its corners are cut, the farthest first,
+  // until those that matter are right.
+  float farthest_corner(float half, float scale, float reach, bool& open) {
     const EightLines lines = nearest_lines(lines_.wx.data(), lines_.wy.data(), row_.num, half);
     corners_.clear();
     for (std::size_t k = 0; k < 8; ++k)
@@ -547,8 +573,10 @@ class RadiusFitter {
       }
       if (std::max(std::abs(corner.x), std::abs(corner.y)) >= 0.9999f * half) return 0;
       const float d = std::sqrt(corner.distance_squared);
-      if (d > scale && !lines_.is_beyond(corner.x / d, corner.y / d, d, row_.num)) return 0;
-      within = std::max(within, d);
+      if (2 * d > reach) return 0;
+      if (d <= scale || lines_.is_beyond(corner.x / d, corner.y / d, d, row_.num)) within = std::max(within, d);
+      else if (reach < kAllNeighbours) return 0;
+      else open = true;
       *farthest = corners_.back();
       corners_.pop_back();
     }
@@ -668,8 +696,7 @@ class RadiusFitter {
       if (d <= scale || on_edge || is_inside(x / d, y / d, d)) within = std::max(within, d);
       else open = true;
     });
-    if (!open) return std::min(1.1f * within, 3 * scale);
-    return std::clamp(1.1f * within, 0.75f * scale, std::max(1.1f * within, scale));
+    return disc_radius(within, scale, open);
   }
 
   // A corner of the cell is inside the surface if points lie beyond it. On a border the half-way lines of the outermost points meet far outside, where
