@@ -34,17 +34,12 @@ class LazReader final : public PointReader {
   const PointSchema& schema() const override { return decoder_.schema(); }
 
   bool decodes_slowly() const override { return true; }
-  std::optional<PointGrid> grid() const override {
-    PointGrid grid;
-    for (std::size_t k = 0; k < 3; ++k) {  // a LAS record starts with x y z
-      grid.scale[static_cast<int>(k)] = decoder_.layout().fields[k].scale;
-      grid.add[static_cast<int>(k)] = decoder_.layout().fields[k].add;
-    }
-    return grid;
-  }
 
-  // Only spares the decompression of layers that nobody looks at.
-  void wants(PointParts parts) override { parts_ = parts; }
+  // Spares the decompression of layers that nobody looks at, too.
+  void wants(PointParts parts) override {
+    parts_ = parts;
+    decoder_.wants(parts);
+  }
 
   bool read(PointBlock& block, std::size_t max_points) override {
     block.clear();

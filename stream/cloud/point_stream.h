@@ -20,10 +20,19 @@ struct PointProperty {
   ScalarType type = ScalarType::kF32;
 };
 
+/// Positions that are stored as integers k: p = k * scale + add, rounded as doubles are.
+struct PositionGrid {
+  Vec3d scale, add;
+  Vec3d position(const std::array<std::int64_t, 3>& k) const {
+    return {static_cast<double>(k[0]) * scale.x() + add.x(), static_cast<double>(k[1]) * scale.y() + add.y(), static_cast<double>(k[2]) * scale.z() + add.z()};
+  }
+};
+
 /// What a file holds per point beside position, normal and colour is `extras`, carried through to exports untouched.
 struct PointSchema {
   std::uint64_t declared_points = 0;   ///< as the header says, 0 = unknown (text). Never trusted: see PointReader::read
   bool position_is_double = false;     ///< input stored doubles, or scaled integers that a float cannot hold
+  std::optional<PositionGrid> grid;    ///< of scaled integers, a hint: whoever uses it checks each position
   bool has_normal = false;
   bool has_colour = false;
   bool colour_is_16_bit = false;
@@ -47,11 +56,6 @@ Vec3d no_position();
 /// Why a point with this position cannot be used: "invalid in the scan" for no_position(), "not finite"; null for a finite position.
 const char* why_unusable(const Vec3d& position);
 
-/// Positions that are 32-bit integers times scale plus add, by axis.
-struct PointGrid {
-  Vec3d scale, add;
-};
-
 /// What the caller of a reader looks at.
 enum class PointParts { kAll, kNoExtras, kPositions };
 
@@ -64,9 +68,8 @@ class PointReader {
   /// Fills `block` with up to max_points next points in file order; false at the end (block empty then). NaN and infinite positions are
   /// passed on: the caller counts and rejects them. throws Error with path, position in the file (byte or line), expected and found.
   virtual bool read(PointBlock& block, std::size_t max_points) = 0;
-  /// Whether reading again takes longer than keeping the points in a file (see spool.h), and the grid that makes that file small.
+  /// Whether reading again takes longer than keeping the points in a file (see spool.h).
   virtual bool decodes_slowly() const { return false; }
-  virtual std::optional<PointGrid> grid() const { return std::nullopt; }
 };
 
 /// Opens by content (magic) first, extension second: PLY (ascii, binary little and big endian), LAS and LAZ 1.2-1.4, E57, PCD (all encodings),

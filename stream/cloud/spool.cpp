@@ -39,7 +39,7 @@ void append(std::vector<std::byte>& to, const T* values, std::size_t count) {
 }
 
 // The integers of the positions, if they give them back bit by bit.
-bool find_cells(const std::vector<Vec3d>& positions, const PointGrid& grid, std::vector<std::int32_t>& cells) {
+bool find_cells(const std::vector<Vec3d>& positions, const PositionGrid& grid, std::vector<std::int32_t>& cells) {
   cells.resize(3 * positions.size());
   const Vec3d steps = grid.scale.cwiseInverse();
   for (std::size_t i = 0; i < positions.size(); ++i)
@@ -66,7 +66,7 @@ bool find_bytes(const std::vector<std::array<std::uint16_t, 3>>& colours, std::v
 
 class BlockPacker {
  public:
-  explicit BlockPacker(const std::optional<PointGrid>& grid) : grid_(grid) {}
+  explicit BlockPacker(const std::optional<PositionGrid>& grid) : grid_(grid) {}
 
   const std::vector<std::byte>& pack(const PointBlock& block) {
     BlockHead head;
@@ -84,7 +84,7 @@ class BlockPacker {
   }
 
  private:
-  std::optional<PointGrid> grid_;
+  std::optional<PositionGrid> grid_;
   std::vector<std::int32_t> cells_;
   std::vector<std::uint8_t> colours_;
   std::vector<std::byte> packed_;
@@ -94,7 +94,7 @@ class BlockPacker {
 class KeepingReader final : public PointReader {
  public:
   KeepingReader(std::unique_ptr<PointReader> source, std::shared_ptr<PointSpool::Spooled> spooled, fs::path folder)
-      : source_(std::move(source)), spooled_(std::move(spooled)), folder_(std::move(folder)), packer_(source_->grid()) {
+      : source_(std::move(source)), spooled_(std::move(spooled)), folder_(std::move(folder)), packer_(source_->schema().grid) {
     source_->wants(PointParts::kNoExtras);
   }
 
@@ -137,7 +137,7 @@ class KeepingReader final : public PointReader {
 class ReplayReader final : public PointReader {
  public:
   ReplayReader(std::shared_ptr<PointSpool::Spooled> spooled, const PointReader& source)
-      : spooled_(std::move(spooled)), schema_(source.schema()), grid_(source.grid()) {}
+      : spooled_(std::move(spooled)), schema_(source.schema()), grid_(source.schema().grid) {}
 
   const PointSchema& schema() const override { return schema_; }
 
@@ -210,7 +210,7 @@ class ReplayReader final : public PointReader {
 
   std::shared_ptr<PointSpool::Spooled> spooled_;
   PointSchema schema_;
-  std::optional<PointGrid> grid_;
+  std::optional<PositionGrid> grid_;
   PointBlock pending_;
   std::size_t next_ = 0;
   std::uint64_t offset_ = 0;

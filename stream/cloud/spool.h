@@ -11,7 +11,7 @@
 namespace chiaro::stream {
 
 /// Whoever reads clouds twice from their beginning (counting, then distributing) opens them through a spool: the second reading of LAZ, E57 and
-/// text then comes from a scratch file of 12 bytes a point where positions lie on a 32-bit grid (else 24), 3 or 6 more with colour, 12 with
+/// PTX then comes from a scratch file of 12 bytes a point where positions lie on a 32-bit grid (else 24), 3 or 6 more with colour, 12 with
 /// normals. The file has no name, so that nothing is left of it, and gives back its space while it is read. A spool is a convenience: where the
 /// disk is short or fails, the source is decoded once more.
 class PointSpool {

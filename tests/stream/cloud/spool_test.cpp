@@ -14,11 +14,11 @@ class SlowReader final : public PointReader {
  public:
   SlowReader(int& decoded, bool off_grid, bool wide_colours) : decoded_(decoded), off_grid_(off_grid), wide_colours_(wide_colours) {
     schema_.has_normal = schema_.has_colour = true;
+    schema_.grid = PositionGrid{Vec3d(0.01, 0.01, 0.1), Vec3d(500000, -3, 0)};
     schema_.extras = {{"number", ScalarType::kU8}};
   }
   const PointSchema& schema() const override { return schema_; }
   bool decodes_slowly() const override { return true; }
-  std::optional<PointGrid> grid() const override { return PointGrid{Vec3d(0.01, 0.01, 0.1), Vec3d(500000, -3, 0)}; }
   bool read(PointBlock& block, std::size_t max_points) override {
     block.clear();
     for (; block.size() < max_points && next_ < 1000; ++next_, ++decoded_) {
