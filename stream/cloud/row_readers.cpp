@@ -89,7 +89,6 @@ class TextRowReader : public PointReader {
     announced_ = rows_.count.value_or(0);
   }
   const PointSchema& schema() const override { return decoder_.schema(); }
-  bool decodes_slowly() const override { return true; }
 
   bool read(PointBlock& block, std::size_t max_points) override {
     block.clear();
