@@ -25,7 +25,6 @@ class PtxReader final : public PointReader {
   }
 
   const PointSchema& schema() const override { return schema_; }
-  bool decodes_slowly() const override { return true; }
 
   bool read(PointBlock& block, std::size_t max_points) override {
     block.clear();

@@ -1,4 +1,4 @@
-/// Points of formats that are slow to decode, kept for a second reading.
+/// Points of a format that is slow to decode, kept for a second reading.
 #pragma once
 #include <cstdint>
 #include <filesystem>
@@ -10,9 +10,9 @@
 
 namespace chiaro::stream {
 
-/// Whoever reads clouds twice from their beginning (counting, then distributing) opens them through a spool: the second reading of LAZ, E57 and
-/// PTX then comes from a scratch file of 12 bytes a point where positions lie on a 32-bit grid (else 24), 3 or 6 more with colour, 12 with
-/// normals. The file has no name, so that nothing is left of it, and gives back its space while it is read. A spool is a convenience: where the
+/// Whoever reads clouds twice from their beginning (counting, then distributing) opens them through a spool: the second reading of LAZ then comes
+/// from a scratch file of 12 bytes a point, 3 or 6 more with colour (positions that do not lie on a 32-bit grid take 24, normals 12). Other
+/// formats are decoded as quickly as such a file is read, or would make it large. The file has no name, so that nothing is left of it, and gives back its space while it is read. A spool is a convenience: where the
 /// disk is short or fails, the source is decoded once more.
 class PointSpool {
  public:
