@@ -32,7 +32,9 @@ std::vector<fs::path> find_files(const std::vector<std::string>& patterns) {
 }
 
 stream::NormalSource normal_source(const std::string& word) {
-  return word == "file" ? stream::NormalSource::kFile : word == "estimate" ? stream::NormalSource::kEstimate : stream::NormalSource::kAuto;
+  if (word == "file") return stream::NormalSource::kFile;
+  if (word == "estimate") return stream::NormalSource::kEstimate;
+  return word == "none" ? stream::NormalSource::kNone : stream::NormalSource::kAuto;
 }
 
 /// The finished store that these inputs and options would give again, if it is there.
@@ -71,11 +73,11 @@ int run_ingest(std::span<const std::string> args, Console& console) {
   std::string out, normals = "auto", unit = "m";
   std::uint64_t memory_bytes = std::uint64_t{2} << 30;
   int threads = 0;
-  Args parser("ingest", "Puts point files (PLY, LAS, PCD, XYZ, PTS) into one chunked store, in bounded memory. A killed run goes on where it stopped.");
+  Args parser("ingest", "Puts point files (PLY, LAS, LAZ, E57, PCD, XYZ, PTS, PTX) into one chunked store, in bounded memory. A killed run goes on where it stopped.");
   parser.positionals("FILES", patterns, "one or many, merged in this order; * ? [ ] are understood");
   parser.option("-o,--out", out, "folder of the store", "NAME.chiaro");
   parser.require("--out");
-  parser.choice("--normals", normals, {"auto", "file", "estimate"}, "auto: the file's where it has them, else estimated");
+  parser.choice("--normals", normals, {"auto", "file", "estimate", "none"}, "auto: the file's where it has them, else estimated; none: no search for neighbours, rough normals and radii for a quick look");
   parser.choice("--unit", unit, {"m", "cm", "mm"}, "unit of the coordinates");
   parser.resources(memory_bytes, threads);
   parser.common(console);

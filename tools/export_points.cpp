@@ -254,11 +254,12 @@ class SourceFiles {
 /// Packs rows in the order of the contract.
 class RowPacker {
  public:
-  RowPacker(bool double_positions, bool with_albedo, const std::vector<PointProperty>& carried) : double_positions_(double_positions), with_albedo_(with_albedo) {
+  RowPacker(bool double_positions, bool wide_colours, bool with_albedo, const std::vector<PointProperty>& carried)
+      : double_positions_(double_positions), wide_colours_(wide_colours), with_albedo_(with_albedo) {
     const ScalarType position = double_positions ? ScalarType::kF64 : ScalarType::kF32;
     for (const char* name : {"x", "y", "z"}) properties_.push_back({name, position});
     for (const char* name : {"nx", "ny", "nz"}) properties_.push_back({name, ScalarType::kF32});
-    for (const char* name : {"red", "green", "blue"}) properties_.push_back({name, ScalarType::kU8});
+    for (const char* name : {"red", "green", "blue"}) properties_.push_back({name, wide_colours ? ScalarType::kU16 : ScalarType::kU8});
     if (with_albedo) {
       for (const char* name : {"albedo_r", "albedo_g", "albedo_b", "sigma"}) properties_.push_back({name, ScalarType::kF32});
       properties_.push_back({"photos", ScalarType::kU16});
@@ -278,7 +279,10 @@ class RowPacker {
     for (int c = 0; c < 3; ++c) double_positions_ ? put(position[c]) : put(static_cast<float>(position[c]));
     put(r.normal);
     const bool has_albedo = std::isfinite(r.albedo[0]) && std::isfinite(r.albedo[1]) && std::isfinite(r.albedo[2]);
-    for (std::size_t c = 0; c < 3; ++c) put(has_albedo ? srgb_8bit(r.albedo[c]) : static_cast<std::uint8_t>((r.colour[c] + 128) / 257));
+    for (std::size_t c = 0; c < 3; ++c) {
+      const auto colour = has_albedo ? static_cast<std::uint16_t>(257 * srgb_8bit(r.albedo[c])) : r.colour[c];
+      wide_colours_ ? put(colour) : put(static_cast<std::uint8_t>((colour + 128) / 257));
+    }
     if (with_albedo_) {
       put(r.albedo);
       put(r.sigma);
@@ -288,7 +292,7 @@ class RowPacker {
   }
 
  private:
-  bool double_positions_, with_albedo_;
+  bool double_positions_, wide_colours_, with_albedo_;
   std::vector<PointProperty> properties_;
   std::size_t row_bytes_ = 0;
 };
@@ -318,7 +322,8 @@ class Exporter {
       report.note(concat("export: ", why, ": positions come from the store, further properties of the input are left out"));
     }
     const bool wide = sources_ ? sources_->position_is_double() : extent_needs_double(manifest);
-    rows_.emplace(wide, with_albedo(), sources_ ? sources_->carried() : std::vector<PointProperty>{});
+    const bool wide_colours = options.file.extension() == ".las" || options.file.extension() == ".LAS";  // its fields have 16 bits anyway
+    rows_.emplace(wide, wide_colours, with_albedo(), sources_ ? sources_->carried() : std::vector<PointProperty>{});
     for (const std::uint64_t n : manifest.source_points) num_sources_ += n;
     num_sources_ = std::max(num_sources_, manifest.points_read);
   }

@@ -22,7 +22,7 @@ struct ExportStats {
   bool positions_from_store = false;   ///< the source files changed or are gone
 };
 
-/// Properties in this order: x y z (double where the input was, else float), nx ny nz (float, from the store), red green blue (u8, sRGB of the albedo),
+/// Properties in this order: x y z (double where the input was, else float), nx ny nz (float, from the store), red green blue (u8, in LAS u16; sRGB of the albedo),
 /// albedo_r albedo_g albedo_b (float, linear), sigma (float), photos (u16), then the input's own further properties as they were.
 /// Unseen: albedo and sigma NaN, photos 0, colour of the input or mid-grey 128. Rejected points are left out.
 /// Positions and further properties are re-read from the source files while these are unchanged; otherwise positions come from the store, further

@@ -12,6 +12,12 @@ packages=(
   libgtest-dev libgmock-dev                                     # tests
 )
 
+# LAZ and E57 are read through Rust crates. Debian's own rustc is too old; its -web packages follow the current one. A newer one of the user's will do.
+rust_will_do() {
+  command -v cargo >/dev/null && rustc --version 2>/dev/null | awk '{ split($2, v, "."); exit !(v[1] > 1 || v[2] >= 82) }'
+}
+rust_will_do || packages+=(cargo-web rustc-web)
+
 say() { printf 'setup: %s\n' "$*" >&2; }
 
 distribution=unknown

@@ -1,4 +1,4 @@
-// LAS 1.2 to 1.4, point formats 0 to 10, uncompressed.
+// LAS 1.2 to 1.4, point formats 0 to 10. Compressed points (LAZ) are read through laz_rows.h.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -7,6 +7,7 @@
 #include "stream/base/error.h"
 #include "stream/cloud/formats.h"
 #include "stream/cloud/las_format.h"
+#include "stream/cloud/laz_rows.h"
 #include "stream/cloud/row_decoder.h"
 #include "stream/cloud/row_readers.h"
 #include "stream/cloud/scalars.h"
@@ -28,7 +29,7 @@ struct LasHeader {
 
 class LasOpener {
  public:
-  explicit LasOpener(File file) : file_(std::move(file)), size_(file_.size()) {}
+  LasOpener(File file, std::uint64_t memory_bytes) : file_(std::move(file)), size_(file_.size()) { laz_.memory_bytes = memory_bytes; }
 
   std::unique_ptr<PointReader> open() {
     parse_header();
@@ -38,6 +39,7 @@ class LasOpener {
     layout_.row_bytes = header_.record_bytes;
     RowDecoder decoder(file_.path(), std::move(layout_), header_.count);
     decoder.schema().position_is_double = !float_holds_the_positions();
+    if (compressed_) return read_laz_rows(std::move(file_), std::move(decoder), laz_rows());
     const FixedRows rows{header_.point_offset, header_.count, false};
     return read_fixed_rows(std::move(file_), std::move(decoder), rows);
   }
@@ -75,9 +77,8 @@ class LasOpener {
   }
 
   void parse_point_format() {
-    const unsigned format = at<std::uint8_t>(kPointFormat);
-    if (format & 0xc0u)
-      throw Error(concat(file_.path().string(), ": LAZ compression (also in COPC) is not read yet; decompress it to LAS first"));
+    compressed_ = (at<std::uint8_t>(kPointFormat) & kCompressedBit) != 0;
+    const unsigned format = at<std::uint8_t>(kPointFormat) & ~kCompressedBit;
     if (format >= kRecordBytes.size()) fail(kPointFormat, concat("point format ", format, ", expected 0 to 10"));
     header_.format = static_cast<int>(format);
     header_.record_bytes = at<std::uint16_t>(kRecordLength);
@@ -94,7 +95,7 @@ class LasOpener {
     if (header_.count == 0) {
       const std::uint64_t room = (size_ - header_.point_offset) / header_.record_bytes;
       fail(kLegacyCount, concat("the header declares no points",
-                                room > 0 ? concat(" although the file has room for ", room, " (was it closed properly?)") : std::string()));
+                                room > 0 && !compressed_ ? concat(" although the file has room for ", room, " (was it closed properly?)") : std::string()));
     }
   }
 
@@ -181,6 +182,10 @@ class LasOpener {
         for (std::size_t at_record = 0; at_record + kExtraBytesBytes <= records.size(); at_record += kExtraBytesBytes)
           add_described(records.data() + at_record);
       }
+      if (std::memcmp(vlr + 2, "laszip encoded\0", 15) == 0 && load_as<std::uint16_t>(vlr + 18) == kLaszipRecord) {
+        laz_.vlr.resize(bytes);
+        file_.read_at(content, laz_.vlr.data(), laz_.vlr.size());
+      }
       offset = content + bytes;
     }
     constexpr std::size_t kMostUndescribed = 2048;
@@ -232,8 +237,17 @@ class LasOpener {
     }
   }
 
+  LazRows laz_rows() {
+    laz_.point_format = header_.format;
+    laz_.point_offset = header_.point_offset;
+    laz_.count = header_.count;
+    return std::move(laz_);
+  }
+
   File file_;
   std::uint64_t size_;
+  bool compressed_ = false;
+  LazRows laz_;
   std::vector<std::byte> bytes_;
   LasHeader header_;
   RowLayout layout_;
@@ -242,6 +256,6 @@ class LasOpener {
 
 }  // namespace
 
-std::unique_ptr<PointReader> open_las(File file) { return LasOpener(std::move(file)).open(); }
+std::unique_ptr<PointReader> open_las(File file, std::uint64_t memory_bytes) { return LasOpener(std::move(file), memory_bytes).open(); }
 
 }  // namespace chiaro::stream

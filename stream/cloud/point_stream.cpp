@@ -1,18 +1,20 @@
 #include "stream/cloud/point_stream.h"
 
 #include <algorithm>
+#include <bit>
 #include <cctype>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/cloud/formats.h"
+#include "stream/cloud/laz_rows.h"
 
 namespace chiaro::stream {
 namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kFormats = "PLY, LAS 1.2 to 1.4, PCD, XYZ/TXT/ASC/CSV and PTS are read";
+constexpr const char* kFormats = "PLY, LAS and LAZ 1.2 to 1.4, E57, PCD, XYZ/TXT/ASC/CSV, PTS and PTX are read";
 
 std::string extension_of(const fs::path& path) {
   std::string extension = path.extension().string();
@@ -40,11 +42,13 @@ std::unique_ptr<PointReader> open_by_content(File file, std::uint64_t memory_byt
   const auto refuse = [&](const char* why) -> Error { return Error(concat(path.string(), ": ", why, "; ", kFormats)); };
   if (head.empty()) throw refuse("the file is empty");
   if (looks_like_ply(head)) return open_ply(std::move(file));
-  if (head.starts_with("LASF")) return open_las(std::move(file));
-  if (head.starts_with("ASTM-E57")) throw refuse("E57 is not read yet");
+  if (head.starts_with("LASF")) return open_las(std::move(file), memory_bytes);
+  if (head.starts_with("ASTM-E57")) return open_e57(std::move(file));
   if (looks_like_pcd(head) || extension == ".pcd") return open_pcd(std::move(file), memory_bytes);
   if (extension == ".ply") throw refuse("byte 0: expected 'ply' on a line of its own, this is not a PLY file");
   if (extension == ".las" || extension == ".laz") throw refuse("byte 0: expected 'LASF', this is not a LAS file");
+  if (extension == ".e57") throw refuse("byte 0: expected 'ASTM-E57', this is not an E57 file");
+  if (extension == ".ptx") return open_ptx(std::move(file));
   for (const char* text : {".xyz", ".txt", ".asc", ".csv", ".pts", ".xyzrgb", ".xyzn"})
     if (extension == text) return open_text(std::move(file), extension == ".pts");
   throw refuse("unknown point cloud format");
@@ -82,12 +86,32 @@ void PointBlock::clear() {
   extras.clear();
 }
 
+namespace {
+constexpr std::uint64_t kNoPositionBits = 0x7ff8'c41a'0000'0001;  // a quiet NaN
+}
+
+Vec3d no_position() { return Vec3d::Constant(std::bit_cast<double>(kNoPositionBits)); }
+
+const char* why_unusable(const Vec3d& position) {
+  if (position.allFinite()) return nullptr;
+  // Moved points keep the bits: arithmetic with a NaN gives that NaN, whose sign alone is free.
+  constexpr std::uint64_t kSign = std::uint64_t{1} << 63;
+  for (const double value : position)
+    if ((std::bit_cast<std::uint64_t>(value) & ~kSign) != kNoPositionBits) return "not finite";
+  return "invalid in the scan";
+}
+
 std::unique_ptr<PointReader> open_points(const fs::path& path, std::uint64_t memory_bytes) {
   std::error_code code;
   // A pipe would block, and sizes are checked against the file's.
   if (fs::exists(path, code) && !fs::is_directory(path, code) && !fs::is_regular_file(path, code))
     throw Error(concat(path.string(), ": not a regular file"));
   return open_by_content(File(path, File::Mode::kRead), memory_bytes);
+}
+
+Error missing_rust_formats(const fs::path& path, const std::string& format) {
+  return Error(concat(path.string(), ": ", format, " is not read by this build of chiaro, which was made without cargo. Install cargo and rustc ",
+                      "(on Debian 12: apt-get install cargo-web rustc-web, or bash tools/setup.sh), configure and build again"));
 }
 
 std::unique_ptr<PointWriter> create_points(const fs::path& path, const PointWriterOptions& options) {

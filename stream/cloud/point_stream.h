@@ -20,10 +20,19 @@ struct PointProperty {
   ScalarType type = ScalarType::kF32;
 };
 
+/// Positions that are stored as integers k: p = k * scale + add, rounded as doubles are.
+struct PositionGrid {
+  Vec3d scale, add;
+  Vec3d position(const std::array<std::int64_t, 3>& k) const {
+    return {static_cast<double>(k[0]) * scale.x() + add.x(), static_cast<double>(k[1]) * scale.y() + add.y(), static_cast<double>(k[2]) * scale.z() + add.z()};
+  }
+};
+
 /// What a file holds per point beside position, normal and colour is `extras`, carried through to exports untouched.
 struct PointSchema {
   std::uint64_t declared_points = 0;   ///< as the header says, 0 = unknown (text). Never trusted: see PointReader::read
   bool position_is_double = false;     ///< input stored doubles, or scaled integers that a float cannot hold
+  std::optional<PositionGrid> grid;    ///< of scaled integers, a hint: whoever uses it checks each position
   bool has_normal = false;
   bool has_colour = false;
   bool colour_is_16_bit = false;
@@ -41,21 +50,35 @@ struct PointBlock {
   void clear();
 };
 
+/// The position that readers give to a point whose scanner marked it as invalid (it hit nothing): not a number, in bits that tell it from
+/// other numbers that are none.
+Vec3d no_position();
+/// Why a point with this position cannot be used: "invalid in the scan" for no_position(), "not finite"; null for a finite position.
+const char* why_unusable(const Vec3d& position);
+
+/// What the caller of a reader looks at.
+enum class PointParts { kAll, kNoExtras, kPositions };
+
 class PointReader {
  public:
   virtual ~PointReader() = default;
   virtual const PointSchema& schema() const = 0;
+  /// A hint, before the first read(): other parts may then stay empty, whatever the schema says.
+  virtual void wants(PointParts) {}
   /// Fills `block` with up to max_points next points in file order; false at the end (block empty then). NaN and infinite positions are
   /// passed on: the caller counts and rejects them. throws Error with path, position in the file (byte or line), expected and found.
   virtual bool read(PointBlock& block, std::size_t max_points) = 0;
+  /// Whether reading again takes longer than keeping the points in a file (see spool.h).
+  virtual bool decodes_slowly() const { return false; }
 };
 
-/// Opens by content (magic) first, extension second: PLY (ascii, binary little and big endian), LAS 1.2-1.4, PCD (all encodings), XYZ/TXT/ASC/CSV, PTS.
-/// memory_bytes bounds formats that their library reads whole (compressed PCD): throws Error if the file needs more.
+/// Opens by content (magic) first, extension second: PLY (ascii, binary little and big endian), LAS and LAZ 1.2-1.4, E57, PCD (all encodings),
+/// XYZ/TXT/ASC/CSV, PTS, PTX. Several scans in one file come one after the other, in the frame of the file.
+/// memory_bytes bounds formats that are not streamed through and through (compressed PCD, huge chunks of LAZ): throws Error if the file needs more.
 /// throws Error for an unknown format, naming the formats that are read.
 std::unique_ptr<PointReader> open_points(const std::filesystem::path& path, std::uint64_t memory_bytes = std::uint64_t{1} << 32);
 
-/// Writes rows of packed little-endian scalars. Known names: x y z nx ny nz red green blue (u8, sRGB) albedo_r albedo_g albedo_b sigma photos;
+/// Writes rows of packed little-endian scalars. Known names: x y z nx ny nz red green blue (u8 or u16, sRGB) albedo_r albedo_g albedo_b sigma photos;
 /// LAS keeps x y z and colour in its own fields and the rest as extra bytes; PCD and PLY keep all.
 class PointWriter {
  public:

@@ -59,6 +59,10 @@ void check_layout(const std::filesystem::path& path, const RowLayout& layout) {
     if (++seen[field.name] == 2) throw Error(concat(path.string(), ": two point properties are named '", field.name, "'"));
 }
 
+bool all_are(const RowField* fields, ScalarType type, bool scaled) {
+  return std::all_of(fields, fields + 3, [&](const RowField& f) { return f.type == type && f.scaled == scaled && f.mask == 0; });
+}
+
 }  // namespace
 
 std::string_view scalar_name(ScalarType type) {
@@ -115,6 +119,8 @@ void RowDecoder::find_roles(const std::filesystem::path& path) {
   for (const RowField& f : position_)
     schema_.position_is_double |= f.type == ScalarType::kF64 || f.type == ScalarType::kI32 || f.type == ScalarType::kU32 ||
                                   f.type == ScalarType::kI64 || f.type == ScalarType::kU64;
+  if (all_are(position_, ScalarType::kI32, true))
+    schema_.grid = PositionGrid{{position_[0].scale, position_[1].scale, position_[2].scale}, {position_[0].add, position_[1].add, position_[2].add}};
   for (const RowField& f : colour_) samples_wanted_ |= schema_.has_colour && f.type != ScalarType::kU8;
   for (std::size_t i = 0; i < used.size(); ++i)
     if (!used[i]) add_extra(layout_.fields[i]);
@@ -151,66 +157,74 @@ void RowDecoder::decide_colour_scale() {
 }
 
 void RowDecoder::decode(const std::byte* rows, std::size_t count, PointBlock& block) const {
-  decode_positions(rows, count, block.position);
-  if (schema_.has_normal) {
-    block.normal.reserve(block.normal.size() + count);
-    for (std::size_t i = 0; i < count; ++i) {
-      const std::byte* row = rows + i * layout_.row_bytes;
-      block.normal.emplace_back(static_cast<float>(field_value(normal_[0], row)), static_cast<float>(field_value(normal_[1], row)),
-                                static_cast<float>(field_value(normal_[2], row)));
-    }
-  }
-  if (schema_.has_colour) decode_colours(rows, count, block);
-  if (extra_bytes_ > 0) decode_extras(rows, count, block);
+  const std::size_t first = block.size();
+  grow(block, count);
+  decode_at(rows, count, block, first);
+}
+
+void RowDecoder::grow(PointBlock& block, std::size_t count) const {
+  const std::size_t size = block.size() + count;
+  block.position.resize(size);
+  if (parts_ == PointParts::kPositions) return;
+  if (schema_.has_normal) block.normal.resize(size);
+  if (schema_.has_colour) block.colour.resize(size);
+  if (parts_ == PointParts::kAll) block.extras.resize(size * extra_bytes_);
+}
+
+void RowDecoder::decode_at(const std::byte* rows, std::size_t count, PointBlock& block, std::size_t first) const {
+  decode_positions(rows, count, block.position.data() + first);
+  if (parts_ == PointParts::kPositions) return;
+  if (schema_.has_normal) decode_normals(rows, count, block.normal.data() + first);
+  if (schema_.has_colour) decode_colours(rows, count, block.colour.data() + first);
+  if (parts_ == PointParts::kAll && extra_bytes_ > 0) decode_extras(rows, count, block.extras.data() + first * extra_bytes_);
 }
 
 // The two layouts that nearly all large files have get loops of their own: plain floats, and integers with a scale.
-void RowDecoder::decode_positions(const std::byte* rows, std::size_t count, std::vector<Vec3d>& out) const {
-  const std::size_t first = out.size(), row_bytes = layout_.row_bytes;
-  out.resize(first + count);
-  Vec3d* const to = out.data() + first;
-  const auto all = [&](ScalarType type, bool scaled) {
-    return std::all_of(position_, position_ + 3, [&](const RowField& f) { return f.type == type && f.scaled == scaled && f.mask == 0; });
-  };
-  const bool floats = all(ScalarType::kF32, false), integers = all(ScalarType::kI32, true);
-  for (int k = 0; k < 3; ++k) {
-    const RowField field = position_[k];
-    const std::byte* at = rows + field.offset;
-    if (floats) {
-      for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = static_cast<double>(load_as<float>(at));
-    } else if (integers) {
-      for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = load_as<std::int32_t>(at) * field.scale + field.add;
-    } else {
-      for (std::size_t i = 0; i < count; ++i) to[i][k] = field_value(field, rows + i * row_bytes);
-    }
+void RowDecoder::decode_positions(const std::byte* rows, std::size_t count, Vec3d* to) const {
+  const RowField &fx = position_[0], &fy = position_[1], &fz = position_[2];
+  const std::byte* row = rows;
+  if (all_are(position_, ScalarType::kF32, false)) {
+    for (std::size_t i = 0; i < count; ++i, row += layout_.row_bytes)
+      to[i] = {static_cast<double>(load_as<float>(row + fx.offset)), static_cast<double>(load_as<float>(row + fy.offset)), static_cast<double>(load_as<float>(row + fz.offset))};
+  } else if (all_are(position_, ScalarType::kI32, true)) {
+    const double sx = fx.scale, sy = fy.scale, sz = fz.scale, ax = fx.add, ay = fy.add, az = fz.add;
+    for (std::size_t i = 0; i < count; ++i, row += layout_.row_bytes)
+      to[i] = {load_as<std::int32_t>(row + fx.offset) * sx + ax, load_as<std::int32_t>(row + fy.offset) * sy + ay, load_as<std::int32_t>(row + fz.offset) * sz + az};
+  } else {
+    for (std::size_t i = 0; i < count; ++i, row += layout_.row_bytes)
+      for (int k = 0; k < 3; ++k) to[i][k] = field_value(position_[k], row);
   }
 }
 
-void RowDecoder::decode_colours(const std::byte* rows, std::size_t count, PointBlock& block) const {
-  const std::size_t first = block.colour.size(), row_bytes = layout_.row_bytes;
-  block.colour.resize(first + count);
-  std::array<std::uint16_t, 3>* const to = block.colour.data() + first;
+void RowDecoder::decode_normals(const std::byte* rows, std::size_t count, Vec3f* to) const {
+  const std::byte* row = rows;
+  const bool floats = all_are(normal_, ScalarType::kF32, false);
+  for (std::size_t i = 0; i < count; ++i, row += layout_.row_bytes)
+    for (int k = 0; k < 3; ++k) to[i][k] = floats ? load_as<float>(row + normal_[k].offset) : static_cast<float>(field_value(normal_[k], row));
+}
+
+void RowDecoder::decode_colours(const std::byte* rows, std::size_t count, std::array<std::uint16_t, 3>* to) const {
+  const std::size_t row_bytes = layout_.row_bytes;
   const auto encoded = [this](double value) {
     value *= colour_scale_;
     return static_cast<std::uint16_t>(value > 0 ? std::min(value, 65535.0) + 0.5 : 0);  // NaN goes to 0 too
   };
+  const auto scale = static_cast<std::uint32_t>(colour_scale_);  // 1 or 257 for integers
   for (std::size_t k = 0; k < 3; ++k) {
     const RowField& field = colour_[k];
     const std::byte* at = rows + field.offset;
     if (field.type == ScalarType::kU8 && !samples_wanted_) {
       for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = static_cast<std::uint16_t>(257 * std::to_integer<int>(*at));
-    } else if (field.type == ScalarType::kU16 && !field.scaled) {
-      for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = encoded(load_as<std::uint16_t>(at));
+    } else if (field.type == ScalarType::kU16 && !field.scaled && scale <= 257) {
+      for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = static_cast<std::uint16_t>(std::min<std::uint32_t>(65535, load_as<std::uint16_t>(at) * scale));
     } else {
       for (std::size_t i = 0; i < count; ++i) to[i][k] = encoded(field_value(field, rows + i * row_bytes));
     }
   }
 }
 
-void RowDecoder::decode_extras(const std::byte* rows, std::size_t count, PointBlock& block) const {
-  const std::size_t first = block.extras.size(), row_bytes = layout_.row_bytes;
-  block.extras.resize(first + count * extra_bytes_);
-  std::byte* const to = block.extras.data() + first;
+void RowDecoder::decode_extras(const std::byte* rows, std::size_t count, std::byte* to) const {
+  const std::size_t row_bytes = layout_.row_bytes;
   for (std::size_t i = 0; i < count; ++i)
     for (const Copy& copy : copies_) std::memcpy(to + i * extra_bytes_ + copy.to, rows + i * row_bytes + copy.from, copy.bytes);
   for (const Sliced& sliced : sliced_) {

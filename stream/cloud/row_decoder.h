@@ -42,7 +42,12 @@ class RowDecoder {
   void sample_colours(const std::byte* rows, std::size_t count);
   void decide_colour_scale();
 
-  /// Appends `count` rows to the block. Values beyond the colour range are clamped, NaN becomes 0.
+  void wants(PointParts parts) { parts_ = parts; }
+  /// Room for `count` more points in the parts that are wanted; decode_at() then fills them, any thread its own.
+  void grow(PointBlock& block, std::size_t count) const;
+  /// Decodes `count` rows to the points from `first` on. Values beyond the colour range are clamped, NaN becomes 0.
+  void decode_at(const std::byte* rows, std::size_t count, PointBlock& block, std::size_t first) const;
+  /// Appends `count` rows to the block.
   void decode(const std::byte* rows, std::size_t count, PointBlock& block) const;
 
  private:
@@ -55,9 +60,10 @@ class RowDecoder {
   };
   void find_roles(const std::filesystem::path& path);
   void add_extra(const RowField& field);
-  void decode_positions(const std::byte* rows, std::size_t count, std::vector<Vec3d>& out) const;
-  void decode_colours(const std::byte* rows, std::size_t count, PointBlock& block) const;
-  void decode_extras(const std::byte* rows, std::size_t count, PointBlock& block) const;
+  void decode_positions(const std::byte* rows, std::size_t count, Vec3d* to) const;
+  void decode_normals(const std::byte* rows, std::size_t count, Vec3f* to) const;
+  void decode_colours(const std::byte* rows, std::size_t count, std::array<std::uint16_t, 3>* to) const;
+  void decode_extras(const std::byte* rows, std::size_t count, std::byte* to) const;
 
   RowLayout layout_;
   PointSchema schema_;
@@ -66,6 +72,7 @@ class RowDecoder {
   std::vector<Sliced> sliced_;
   std::size_t extra_bytes_ = 0;
   bool samples_wanted_ = false;
+  PointParts parts_ = PointParts::kAll;
   double colour_max_ = 0, colour_scale_ = 257;
 };
 

@@ -4,9 +4,11 @@
 #include <charconv>
 #include <cmath>
 #include <cstring>
+#include <exception>
 #include <limits>
 
 #include "stream/base/error.h"
+#include "stream/base/parallel.h"
 #include "stream/cloud/scalars.h"
 
 namespace chiaro::stream {
@@ -34,29 +36,39 @@ class FixedRowReader : public PointReader {
       throw Error(concat(file_.path().string(), ": the header declares ", rows_.count, " points of ", row_bytes, " bytes from offset ",
                          rows_.offset, ", the file holds ", available, " (", size, " bytes)"));
     }
-    buffer_.resize(std::max<std::size_t>(1, std::min<std::uint64_t>(kBufferBytes / row_bytes, rows_.count)) * row_bytes);
+    piece_rows_ = std::max<std::size_t>(1, static_cast<std::size_t>(std::min<std::uint64_t>(kPieceBytes / row_bytes, rows_.count)));
+    for (auto& buffer : buffers_) buffer.resize(piece_rows_ * row_bytes);
     if (decoder_.needs_colour_samples()) sample_colours();
   }
 
   const PointSchema& schema() const override { return decoder_.schema(); }
 
+  void wants(PointParts parts) override { decoder_.wants(parts); }
+
+  // Pieces of the block are read and decoded side by side, each through a buffer of its own.
   bool read(PointBlock& block, std::size_t max_points) override {
     block.clear();
-    const std::size_t row_bytes = decoder_.layout().row_bytes;
-    while (block.size() < max_points && next_ < rows_.count) {
-      const std::uint64_t count = std::min<std::uint64_t>({buffer_.size() / row_bytes, rows_.count - next_, max_points - block.size()});
-      load(next_, static_cast<std::size_t>(count));
-      decoder_.decode(buffer_.data(), static_cast<std::size_t>(count), block);
-      next_ += count;
+    const auto count = static_cast<std::size_t>(std::min<std::uint64_t>(max_points, rows_.count - next_));
+    decoder_.grow(block, count);
+    for (std::size_t first = 0; first < count; first += kPieces * piece_rows_) {
+      const std::size_t pieces = (std::min(count - first, kPieces * piece_rows_) + piece_rows_ - 1) / piece_rows_;
+      parallel_blocks(pieces, 1, [&](std::size_t piece, std::size_t) {
+        const std::size_t at = first + piece * piece_rows_, n = std::min(piece_rows_, count - at);
+        load(next_ + at, n, buffers_[piece]);
+        decoder_.decode_at(buffers_[piece].data(), n, block, at);
+      });
     }
-    return block.size() > 0;
+    next_ += count;
+    return count > 0;
   }
 
  private:
-  void load(std::uint64_t first, std::size_t count) {
+  static constexpr std::size_t kPieces = 8, kPieceBytes = 256 << 10;
+
+  void load(std::uint64_t first, std::size_t count, std::vector<std::byte>& buffer) {
     const std::size_t row_bytes = decoder_.layout().row_bytes;
-    file_.read_at(rows_.offset + first * row_bytes, buffer_.data(), count * row_bytes);
-    if (rows_.swap_bytes) swap_fields(decoder_.layout(), buffer_.data(), count);
+    file_.read_at(rows_.offset + first * row_bytes, buffer.data(), count * row_bytes);
+    if (rows_.swap_bytes) swap_fields(decoder_.layout(), buffer.data(), count);
   }
 
   // Runs of points spread over the whole file, so that one dark corner does not decide.
@@ -64,9 +76,9 @@ class FixedRowReader : public PointReader {
     constexpr std::uint64_t kRuns = 64, kRunLength = 256;
     for (std::uint64_t run = 0; run < kRuns; ++run) {
       const std::uint64_t first = rows_.count / kRuns * run;
-      const std::uint64_t count = std::min<std::uint64_t>({kRunLength, rows_.count - first, buffer_.size() / decoder_.layout().row_bytes});
-      load(first, static_cast<std::size_t>(count));
-      decoder_.sample_colours(buffer_.data(), static_cast<std::size_t>(count));
+      const std::uint64_t count = std::min<std::uint64_t>({kRunLength, rows_.count - first, piece_rows_});
+      load(first, static_cast<std::size_t>(count), buffers_[0]);
+      decoder_.sample_colours(buffers_[0].data(), static_cast<std::size_t>(count));
       if (rows_.count <= count) break;
     }
     decoder_.decide_colour_scale();
@@ -76,7 +88,8 @@ class FixedRowReader : public PointReader {
   RowDecoder decoder_;
   FixedRows rows_;
   std::uint64_t next_ = 0;
-  std::vector<std::byte> buffer_;
+  std::size_t piece_rows_ = 1;
+  std::array<std::vector<std::byte>, kPieces> buffers_;
 };
 
 class TextRowReader : public PointReader {
@@ -89,6 +102,7 @@ class TextRowReader : public PointReader {
     announced_ = rows_.count.value_or(0);
   }
   const PointSchema& schema() const override { return decoder_.schema(); }
+  void wants(PointParts parts) override { decoder_.wants(parts); }
 
   bool read(PointBlock& block, std::size_t max_points) override {
     block.clear();
@@ -101,7 +115,11 @@ class TextRowReader : public PointReader {
   }
 
  private:
-  static constexpr std::size_t kRowsAtOnce = 1024;
+  static constexpr std::size_t kRowsAtOnce = 32768, kRowsSampled = 1024, kRowsOfPiece = 2048, kTextAtOnce = 4 << 20;
+  struct TakenLine {
+    std::size_t begin, size;  // in text_
+    std::uint64_t number;
+  };
 
   // Every row needs a character or more: a count beyond that is wrong before a row is read.
   void check_count() const {
@@ -114,7 +132,7 @@ class TextRowReader : public PointReader {
   void sample_colours() {
     left_ = rows_.count;
     announced_ = rows_.count.value_or(0);
-    const std::size_t count = parse_rows(kRowsAtOnce);
+    const std::size_t count = parse_rows(kRowsSampled);
     decoder_.sample_colours(packed_.data(), count);
     decoder_.decide_colour_scale();
     lines_ = LineReader(file_, rows_.offset, rows_.line);
@@ -130,9 +148,7 @@ class TextRowReader : public PointReader {
     return false;
   }
 
-  [[noreturn]] void fail(const std::string& what) const {
-    throw Error(concat(file_.path().string(), ": line ", lines_.line(), ": ", what));
-  }
+  [[noreturn]] void fail_at(std::uint64_t line, const std::string& what) const { throw Error(concat(file_.path().string(), ": line ", line, ": ", what)); }
 
   // The line of the next row. With all announced rows read, what follows in a text file is a further count, or rows that the count forgot.
   bool next_row(std::string_view& line) {
@@ -152,49 +168,68 @@ class TextRowReader : public PointReader {
     if (tokens_.size() != 1) return false;
     const double most = static_cast<double>(file_.size()), number = parse_number(tokens_[0]).value_or(-1);
     if (!(number >= 0 && number <= most && number == std::floor(number)))
-      fail(concat("'", tokens_[0].substr(0, 40), "' is not a number of points"));
+      fail_at(lines_.line(), concat("'", tokens_[0].substr(0, 40), "' is not a number of points"));
     left_ = static_cast<std::uint64_t>(number);
     announced_ += *left_;
     return true;
   }
 
+  // Lines are taken one after the other, then parsed side by side. Of several bad lines the first is reported.
   std::size_t parse_rows(std::size_t max_rows) {
     const std::size_t row_bytes = decoder_.layout().row_bytes;
-    packed_.resize(max_rows * row_bytes);
-    std::size_t count = 0;
+    text_.clear();
+    taken_.clear();
     std::string_view line;
-    while (count < max_rows && next_row(line)) {
-      parse_row(line, packed_.data() + count * row_bytes);
-      ++count;
-      ++done_;
-      if (left_ && *left_ > 0) --*left_;
+    std::exception_ptr ended;  // the end of the file came too early, or a count is wrong: but lines before may be wrong as well
+    try {
+      while (taken_.size() < max_rows && text_.size() < kTextAtOnce && next_row(line)) {
+        taken_.push_back({text_.size(), line.size(), lines_.line()});
+        text_.append(line);
+        ++done_;
+        if (left_ && *left_ > 0) --*left_;
+      }
+    } catch (const Error&) {
+      ended = std::current_exception();
     }
-    return count;
+    packed_.resize(taken_.size() * row_bytes);
+    std::vector<std::exception_ptr> failed((taken_.size() + kRowsOfPiece - 1) / kRowsOfPiece);
+    parallel_blocks(taken_.size(), kRowsOfPiece, [&](std::size_t begin, std::size_t end) {
+      std::vector<std::string_view> tokens;
+      try {
+        for (std::size_t i = begin; i < end; ++i) parse_row(taken_[i].number, std::string_view(text_).substr(taken_[i].begin, taken_[i].size), tokens, packed_.data() + i * row_bytes);
+      } catch (const Error&) {
+        failed[begin / kRowsOfPiece] = std::current_exception();
+      }
+    });
+    for (const std::exception_ptr& error : failed)
+      if (error) std::rethrow_exception(error);
+    if (ended) std::rethrow_exception(ended);
+    return taken_.size();
   }
 
-  void parse_row(std::string_view line, std::byte* row) {
-    split_line(line, rows_.separator, tokens_);
-    if (tokens_.size() != rows_.columns.size()) {
-      check_decimal_commas(line);
-      fail(concat(tokens_.size(), " values, expected ", rows_.columns.size()));
+  void parse_row(std::uint64_t number, std::string_view line, std::vector<std::string_view>& tokens, std::byte* row) const {
+    split_line(line, rows_.separator, tokens);
+    if (tokens.size() != rows_.columns.size()) {
+      check_decimal_commas(number, line);
+      fail_at(number, concat(tokens.size(), " values, expected ", rows_.columns.size()));
     }
-    for (std::size_t i = 0; i < tokens_.size(); ++i) {
+    for (std::size_t i = 0; i < tokens.size(); ++i) {
       const TextColumn& column = rows_.columns[i];
-      const std::optional<double> value = parse_number(tokens_[i]);
+      const std::optional<double> value = parse_number(tokens[i]);
       if (!value) {
-        check_decimal_commas(line);
-        fail(concat("'", tokens_[i].substr(0, 40), "' is not a number (column ", i + 1, ", ", column.name, ")"));
+        check_decimal_commas(number, line);
+        fail_at(number, concat("'", tokens[i].substr(0, 40), "' is not a number (column ", i + 1, ", ", column.name, ")"));
       }
       if (!store_scalar(column.type, *value, row + column.offset))
-        fail(concat(tokens_[i].substr(0, 40), " does not fit the type ", scalar_name(column.type), " of ", column.name));
+        fail_at(number, concat(tokens[i].substr(0, 40), " does not fit the type ", scalar_name(column.type), " of ", column.name));
     }
   }
 
-  void check_decimal_commas(std::string_view line) const {
+  void check_decimal_commas(std::uint64_t number, std::string_view line) const {
     if (rows_.separator == ',') return;
     for (std::size_t i = 1; i + 1 < line.size(); ++i) {
       const auto digit = [&](std::size_t k) { return line[k] >= '0' && line[k] <= '9'; };
-      if (line[i] == ',' && digit(i - 1) && digit(i + 1)) fail("decimal commas are not read, expected decimal points");
+      if (line[i] == ',' && digit(i - 1) && digit(i + 1)) fail_at(number, "decimal commas are not read, expected decimal points");
     }
   }
 
@@ -204,6 +239,8 @@ class TextRowReader : public PointReader {
   LineReader lines_;
   std::optional<std::uint64_t> left_;
   std::uint64_t announced_ = 0, done_ = 0;
+  std::string text_;
+  std::vector<TakenLine> taken_;
   std::vector<std::byte> packed_;
   std::vector<std::string_view> tokens_;
 };

@@ -72,6 +72,18 @@ std::uint8_t encode_radius(float radius, float radius_max) {
   return static_cast<std::uint8_t>(c);
 }
 
+RadiusTable::RadiusTable(float radius_max) {
+  for (std::size_t c = 0; c < radius_.size(); ++c) radius_[c] = decode_radius(static_cast<std::uint8_t>(c), radius_max);
+}
+
+// The first code that reaches the radius, by halving.
+std::uint8_t RadiusTable::encode(float radius) const {
+  if (!(radius > 0)) return 0;
+  std::size_t c = 0;
+  for (std::size_t step = 128; step > 0; step /= 2) c += radius_[c + step - 1] < radius ? step : 0;
+  return static_cast<std::uint8_t>(c);
+}
+
 Surfel decode_surfel(const SurfelBlock& block, int lane, const ChunkFrame& frame) {
   const auto i = static_cast<std::size_t>(lane);
   Surfel s;

@@ -47,6 +47,16 @@ Vec3f decode_normal(std::int16_t u, std::int16_t v);
 /// Rounds up, so that coverage is kept. radius_max > 0.
 std::uint8_t encode_radius(float radius, float radius_max);
 inline float decode_radius(std::uint8_t code, float radius_max) { return radius_max * std::exp2((static_cast<float>(code) - 255.0f) / 16.0f); }
+/// The radii of a chunk's codes, for many surfels: the same answers as the two functions above.
+class RadiusTable {
+ public:
+  explicit RadiusTable(float radius_max);
+  float decode(std::uint8_t code) const { return radius_[code]; }
+  std::uint8_t encode(float radius) const;
+
+ private:
+  std::array<float, 256> radius_;
+};
 
 /// A disc that ends at an edge is cut there by a straight line, so that it does not stand out beyond the edge. 12 bits: upper 7 the direction across the
 /// line, lower 5 its distance from the centre; 0 = whole disc. The direction lies in the two axes that are not the normal's largest: the line is

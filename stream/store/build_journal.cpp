@@ -22,6 +22,7 @@ void write_journal(const fs::path& part, const BuildJournal& b) {
   j["typical_spacing"] = b.typical_spacing;
   j["has_colour"] = b.has_colour;
   j["estimated_normals"] = b.estimated_normals;
+  j["spill_bytes"] = b.spill_bytes;
   j["leaf_geometry_end"] = b.leaf_geometry_end;
   j["manifest"] = manifest_text(b.manifest);
   nlohmann::ordered_json partitions = nlohmann::ordered_json::array();
@@ -44,6 +45,7 @@ std::optional<BuildJournal> read_journal(const fs::path& part, const std::string
     b.typical_spacing = j.at("typical_spacing").get<double>();
     b.has_colour = j.at("has_colour").get<bool>();
     b.estimated_normals = j.at("estimated_normals").get<std::uint64_t>();
+    b.spill_bytes = j.at("spill_bytes").get<std::uint64_t>();
     b.leaf_geometry_end = j.at("leaf_geometry_end").get<std::uint64_t>();
     b.manifest = parse_manifest(journal_path(part), j.at("manifest").get<std::string>());
     for (const auto& p : j.at("partitions")) b.partitions.push_back({p.at(0).get<std::uint64_t>(), p.at(1).get<std::uint64_t>()});

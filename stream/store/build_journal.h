@@ -19,6 +19,7 @@ struct BuildJournal {
   double typical_spacing = 0;
   bool has_colour = false;
   std::uint64_t estimated_normals = 0;  ///< points without a usable normal from their file
+  std::uint64_t spill_bytes = 0;        ///< of the pages in spill.bin
   std::uint64_t leaf_geometry_end = 0;  ///< end of the leaves in geometry.bin
   std::vector<Partition> partitions;
 };

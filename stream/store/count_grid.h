@@ -2,6 +2,7 @@
 /// the partitions of the spill file follow. Root and spacing depend on the points and their order in the files only, never on the budget.
 #pragma once
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "stream/base/budget.h"
@@ -29,7 +30,7 @@ struct WeightedCell {
 /// Occupied cells (edge 2^k) and their counts; becomes coarser whenever it would exceed its number of cells.
 class CountGrid {
  public:
-  /// Uses up to max_bytes, but at least 16 MiB: the root cube is aligned to cells, which needs the extent to be some 32 of them.
+  /// Uses up to max_bytes, but at least 8 MiB: the root cube is aligned to cells, which needs the extent to be some 32 of them.
   CountGrid(MemoryBudget& budget, std::uint64_t max_bytes);
   /// Adds finite points, |coordinate| <= 1e9. The first call decides the finest cell.
   void add(const std::vector<Vec3d>& points);
@@ -54,7 +55,8 @@ class CountGrid {
   std::array<std::int64_t, 3> cell_of_key(std::uint64_t key) const;
   std::uint64_t key_of_cell(const std::array<std::int64_t, 3>& cell) const;
   void start(const std::vector<Vec3d>& points);
-  void make_room();
+  void make_room(std::uint64_t cells);
+  bool make_keys(std::span<const Vec3d> points, std::uint64_t* keys) const;
   void insert(std::uint64_t key, std::uint64_t count);
   void coarsen();
   void resize(std::uint64_t slots);

@@ -20,6 +20,15 @@ std::uint64_t code_in_parent(const ChunkEntry& child, const SurfelBlock& b, std:
   return (child.morton & 7) << 48 | morton_encode(b.x[lane], b.y[lane], b.z[lane]);
 }
 
+// The same as three numbers of 17 bits.
+std::array<std::uint32_t, 3> place_in_parent(const ChunkEntry& child, const SurfelBlock& b, std::size_t lane) {
+  const auto octant = [&](int a) { return static_cast<std::uint32_t>(child.morton >> a & 1) << 16; };
+  return {octant(0) | b.x[lane], octant(1) | b.y[lane], octant(2) | b.z[lane]};
+}
+
+// The bits in which any of the axes differs: two Morton codes part where the highest of these is.
+std::uint32_t differing_bits(const std::array<std::uint32_t, 3>& a, const std::array<std::uint32_t, 3>& b) { return (a[0] ^ b[0]) | (a[1] ^ b[1]) | (a[2] ^ b[2]); }
+
 struct Member {
   Vec3d position;  ///< in units of the parent's step, from its lower corner
   Vec3f normal;
@@ -69,12 +78,14 @@ class NodeBuilder {
 
   int choose_voxel_bits() const {
     std::array<std::uint64_t, 18> first_differs{};  // how many neighbours part at this depth
-    std::uint64_t total = 0, last = 0;
+    std::uint64_t total = 0;
+    std::array<std::uint32_t, 3> last{};
     for_each_child([&](const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
       for (std::uint32_t slot = 0; slot < child.count; ++slot) {
-        const std::uint64_t code = code_in_parent(child, blocks[slot / 16], slot % 16);
-        if (total > 0 && code != last) ++first_differs[static_cast<std::size_t>(17 - (63 - std::countl_zero(code ^ last)) / 3)];
-        last = code;
+        const auto place = place_in_parent(child, blocks[slot / 16], slot % 16);
+        const std::uint32_t differ = total > 0 ? differing_bits(place, last) : 0;
+        if (differ != 0) ++first_differs[static_cast<std::size_t>(18 - std::bit_width(differ))];
+        last = place;
         ++total;
       }
     });
@@ -87,6 +98,7 @@ class NodeBuilder {
 
   void add_members(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, const std::vector<std::uint32_t>& group) {
     const Vec3d octant(65536.0 * static_cast<double>(child.morton & 1), 65536.0 * static_cast<double>(child.morton >> 1 & 1), 65536.0 * static_cast<double>(child.morton >> 2 & 1));
+    const RadiusTable radii(child.radius_max);
     for (std::uint32_t slot = 0; slot < child.count; ++slot) {
       if (group[slot] != group_) {
         finish_group();
@@ -96,7 +108,7 @@ class NodeBuilder {
       const std::size_t lane = slot % 16;
       if (num_members_ == 0) voxel_ = code_in_parent(child, b, lane) >> (3 * (17 - voxel_bits_));
       Member m{(octant + Vec3d(b.x[lane] + 0.5, b.y[lane] + 0.5, b.z[lane] + 0.5)) / 2, decode_normal(b.normal_u[lane], b.normal_v[lane]),
-               decode_radius(b.log_radius[lane], child.radius_max), b.flags[lane]};
+               radii.decode(b.log_radius[lane]), b.flags[lane]};
       add(m);
     }
   }
@@ -170,6 +182,7 @@ class NodeBuilder {
     e.spacing = static_cast<float>(std::ldexp(65536 * frame_.step, -voxel_bits_));
     e.tight_min = {65535, 65535, 65535};
     e.tight_max = {0, 0, 0};
+    const RadiusTable radii(e.radius_max);
     for (std::uint32_t slot = 0; slot < out_.blocks.size() * 16; ++slot) {
       SurfelBlock& b = out_.blocks[slot / 16];
       const std::size_t lane = slot % 16;
@@ -184,7 +197,7 @@ class NodeBuilder {
         b.flags[lane] = SurfelBlock::kPadding;
         continue;
       }
-      b.log_radius[lane] = encode_radius(out_.radii[slot], e.radius_max);
+      b.log_radius[lane] = radii.encode(out_.radii[slot]);
       const std::array<std::uint16_t, 3> q{b.x[lane], b.y[lane], b.z[lane]};
       for (std::size_t a = 0; a < 3; ++a) {
         e.tight_min[a] = std::min(e.tight_min[a], q[a]);
@@ -214,10 +227,10 @@ class NodeBuilder {
 void VoxelCursor::next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::vector<std::uint32_t>& group) {
   group.resize(child.count);
   for (std::uint32_t slot = 0; slot < child.count; ++slot) {
-    const std::uint64_t voxel = code_in_parent(child, blocks[slot / 16], slot % 16) >> shift_;
-    if (started_ && voxel != voxel_) ++group_;
+    const auto place = place_in_parent(child, blocks[slot / 16], slot % 16);
+    if (started_ && differing_bits(place, last_) >> shift_ != 0) ++group_;
     started_ = true;
-    voxel_ = voxel;
+    last_ = place;
     group[slot] = group_;
   }
 }

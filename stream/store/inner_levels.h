@@ -4,6 +4,7 @@
 /// code in the parent, 17 bits an axis (the child's octant and its 16 stored bits), shortened to g bits. Surfels of a chunk are in the order of that code, and
 /// children are in Morton order, so the members of a voxel follow each other; voxels in that order are the surfels of the node.
 #pragma once
+#include <array>
 #include <vector>
 
 #include "stream/base/budget.h"
@@ -16,7 +17,7 @@ namespace chiaro::stream {
 /// Numbers the surfels of a node's children by the inner surfel that replaces them; children are passed one after the other.
 class VoxelCursor {
  public:
-  explicit VoxelCursor(int voxel_bits) : shift_(3 * (17 - voxel_bits)) {}
+  explicit VoxelCursor(int voxel_bits) : shift_(17 - voxel_bits) {}
   /// Number of the parent's surfel for each slot of the next child.
   void next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::vector<std::uint32_t>& group);
   std::uint32_t num_groups() const { return started_ ? group_ + 1 : 0; }
@@ -25,7 +26,7 @@ class VoxelCursor {
   int shift_;
   bool started_ = false;
   std::uint32_t group_ = 0;
-  std::uint64_t voxel_ = 0;
+  std::array<std::uint32_t, 3> last_{};
 };
 
 /// Fills all inner entries (count, bounds, radius, spacing, CRC; source_offset = g) from the deepest level up and appends their blocks at

@@ -8,6 +8,7 @@
 #include "stream/base/error.h"
 #include "stream/base/hash.h"
 #include "stream/base/parallel.h"
+#include "stream/store/leaf_fit.h"
 #include "stream/store/store_format.h"
 
 namespace chiaro::stream {
@@ -29,7 +30,7 @@ struct LeafData {
   std::vector<SpillRecord> open;  ///< instead of the above: points of a level-21 cell that may go on in the next range
 };
 
-LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_t morton, int level, int part, bool has_colour) {
+LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_t morton, int level, int part, const LeafRules& rules, bool has_colour) {
   LeafData leaf;
   leaf.entry.morton = morton;
   leaf.entry.level = static_cast<std::uint8_t>(level);
@@ -61,6 +62,7 @@ LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_
   }
   pack_sources(sources, leaf.sources);
   leaf.entry.source_crc = crc32c(leaf.sources);
+  if (rules.guess_surfels) guess_surfels(leaf.entry, leaf.blocks, std::ldexp(rules.edge, -level - kLocalBits));
   return leaf;
 }
 
@@ -110,7 +112,7 @@ class RangeBuilder {
     int part = 0;
     for (; first < last; first += rules_.chunk_surfels, ++part) {
       if (part > 255) too_many(rules_);
-      leaves_.push_back(encode_leaf(&records_[first], std::min<std::size_t>(rules_.chunk_surfels, last - first), morton, level, part, has_colour_));
+      leaves_.push_back(encode_leaf(&records_[first], std::min<std::size_t>(rules_.chunk_surfels, last - first), morton, level, part, rules_, has_colour_));
     }
   }
 
@@ -129,26 +131,24 @@ class RangeBuilder {
 
 class LeafAssembler {
  public:
-  LeafAssembler(File& spill, const LeafRules& rules, const LeafFiles& files, MemoryBudget& budget, Reporter& report)
-      : spill_(spill), rules_(rules), files_(files), budget_(budget), report_(report) {}
+  LeafAssembler(File& spill, std::uint64_t spill_end, const RootCube& root, const LeafRules& rules, const LeafFiles& files, MemoryBudget& budget, Reporter& report)
+      : spill_(spill), spill_end_(spill_end), root_(root), rules_(rules), files_(files), budget_(budget), report_(report) {}
 
   std::vector<ChunkEntry> run(const std::vector<Partition>& partitions) {
     const LeafWorkers limits = leaf_workers(budget_, rules_.chunk_surfels);
-    std::uint64_t at = 0;
-    for (const Partition& p : partitions) spill_records_ += p.count;
+    SpillPages pages = find_pages(spill_, spill_end_, partitions);
     std::vector<Job> wave;
     const auto wave_size = static_cast<std::size_t>(limits.workers);
     for (std::size_t i = 0; i < partitions.size(); ++i) {
       const MortonKey begin = cell_begin(partitions[i].begin, kMaxLevel);
       const MortonKey end = i + 1 < partitions.size() ? cell_begin(partitions[i + 1].begin, kMaxLevel) : cell_begin(1, 0);
-      const Job job{at, partitions[i].count, {begin, end}, {}};
-      at += partitions[i].count;
+      Job job{std::move(pages[i]), partitions[i].count, {begin, end}, {}};
       if (job.count > limits.capacity) {
         finish_wave(wave);
         build_oversized(job, limits.capacity);
         continue;
       }
-      wave.push_back(job);
+      wave.push_back(std::move(job));
       if (wave.size() == wave_size) finish_wave(wave);
     }
     finish_wave(wave);
@@ -158,7 +158,8 @@ class LeafAssembler {
 
  private:
   struct Job {
-    std::uint64_t first_record = 0, count = 0;
+    std::vector<SpillPage> pages;
+    std::uint64_t count = 0;
     KeyRange range;
     std::vector<LeafData> leaves;
   };
@@ -169,8 +170,9 @@ class LeafAssembler {
     const BudgetLease lease(budget_, points * kBytesPerPoint, "sorting of points");
     parallel_blocks(wave.size(), 1, [&](std::size_t j, std::size_t) {
       report_.check();
-      std::vector<SpillRecord> records(wave[j].count);
-      spill_.read_at(wave[j].first_record * sizeof(SpillRecord), records.data(), records.size() * sizeof(SpillRecord));
+      std::vector<SpillRecord> records;
+      records.reserve(wave[j].count);
+      for (const SpillPage& page : wave[j].pages) read_page(spill_, page, root_, records);
       records = sorted_by_key(std::move(records));
       wave[j].leaves = RangeBuilder(records, wave[j].range, rules_, files_.colour != nullptr).take();
     });
@@ -203,13 +205,7 @@ class LeafAssembler {
     std::vector<Job> jobs;
     std::unordered_map<std::uint64_t, std::size_t> job_of;
     cut(cells, job, base, depth, depth - shared, capacity, jobs, job_of);
-    std::uint64_t at = spill_records_;
-    for (Job& j : jobs) {
-      j.first_record = at;
-      at += j.count;
-    }
-    const std::uint64_t saved = spill_records_;
-    spill_records_ = at;
+    const std::uint64_t saved = spill_end_;
     redistribute(job, base, depth, jobs, job_of);
     std::vector<Job> one;
     for (Job& j : jobs) {
@@ -220,20 +216,19 @@ class LeafAssembler {
         finish_wave(one);
       }
     }
-    spill_records_ = saved;
-    spill_.truncate(saved * sizeof(SpillRecord));
+    spill_end_ = saved;
+    spill_.truncate(saved);
   }
 
   static MortonKey cell_of_any(MortonKey key, int level) { return key >> (3 * (kAxisBits - level)); }
 
   template <class F>
   void for_each_record(const Job& job, const F& body) {
-    std::vector<SpillRecord> block(16384);
-    for (std::uint64_t at = 0; at < job.count;) {
-      const auto n = static_cast<std::size_t>(std::min<std::uint64_t>(block.size(), job.count - at));
-      spill_.read_at((job.first_record + at) * sizeof(SpillRecord), block.data(), n * sizeof(SpillRecord));
-      for (std::size_t i = 0; i < n; ++i) body(block[i]);
-      at += n;
+    std::vector<SpillRecord> records;
+    for (const SpillPage& page : job.pages) {
+      records.clear();
+      read_page(spill_, page, root_, records);
+      for (const SpillRecord& r : records) body(r);
     }
   }
 
@@ -257,7 +252,7 @@ class LeafAssembler {
         const std::uint64_t start = (cells[first].key >> (3 * below)) << (3 * below);
         const MortonKey begin = jobs.empty() ? job.range.begin : (base + start) << (3 * (kAxisBits - depth));
         if (!jobs.empty()) jobs.back().range.end = begin;
-        jobs.push_back({0, 0, {begin, job.range.end}, {}});
+        jobs.push_back({{}, 0, {begin, job.range.end}, {}});
       }
       jobs.back().count += total;
       for (std::size_t i = first; i < last; ++i) job_of[cells[i].key] = jobs.size() - 1;
@@ -265,12 +260,13 @@ class LeafAssembler {
     visit(visit, 0, cells.size(), num_levels);
   }
 
-  void redistribute(const Job& job, MortonKey base, int depth, const std::vector<Job>& jobs, const std::unordered_map<std::uint64_t, std::size_t>& job_of) {
+  void redistribute(const Job& job, MortonKey base, int depth, std::vector<Job>& jobs, const std::unordered_map<std::uint64_t, std::size_t>& job_of) {
     std::vector<Partition> regions;
     for (const Job& j : jobs) regions.push_back({0, j.count});
-    SpillWriter writer(spill_, regions, jobs.front().first_record, budget_, std::min<std::uint64_t>(16 << 20, budget_.free_bytes() / 4));
-    for_each_record(job, [&](const SpillRecord& r) { writer.append(job_of.at(static_cast<std::uint64_t>(cell_of_any(r.key(), depth) - base)), r); });
-    writer.finish();
+    SpillWriter writer(spill_, root_, regions, spill_end_, budget_, std::min<std::uint64_t>(16 << 20, budget_.free_bytes() / 4));
+    for_each_record(job, [&](const SpillRecord& r) { writer.append(job_of.at(static_cast<std::uint64_t>(cell_of_any(r.key(), depth) - base)), spill_point(r)); });
+    spill_end_ = writer.finish();
+    for (std::size_t i = 0; i < jobs.size(); ++i) jobs[i].pages = writer.pages()[i];
   }
 
   // More points on one spot than fit in memory: they are in input order already.
@@ -302,7 +298,7 @@ class LeafAssembler {
   void flush_open_leaf() {
     if (open_.empty()) return;
     if (open_part_ > 255) RangeBuilder::too_many(rules_);
-    LeafData leaf = encode_leaf(open_.data(), open_.size(), open_morton_, kMaxLevel, open_part_++, files_.colour != nullptr);
+    LeafData leaf = encode_leaf(open_.data(), open_.size(), open_morton_, kMaxLevel, open_part_++, rules_, files_.colour != nullptr);
     open_.clear();
     store(leaf);
   }
@@ -324,11 +320,13 @@ class LeafAssembler {
   }
 
   File& spill_;
+  std::uint64_t spill_end_;
+  const RootCube& root_;
   const LeafRules& rules_;
   const LeafFiles& files_;
   MemoryBudget& budget_;
   Reporter& report_;
-  std::uint64_t spill_records_ = 0, done_ = 0, geometry_end_ = 0, source_end_ = 0;
+  std::uint64_t done_ = 0, geometry_end_ = 0, source_end_ = 0;
   std::vector<ChunkEntry> entries_;
   std::vector<SpillRecord> open_;
   std::uint64_t open_morton_ = 0;
@@ -346,9 +344,9 @@ LeafWorkers leaf_workers(const MemoryBudget& budget, std::uint32_t chunk_surfels
   return w;
 }
 
-std::vector<ChunkEntry> build_leaves(File& spill, const std::vector<Partition>& partitions, const LeafRules& rules, const LeafFiles& files, MemoryBudget& budget,
-                                     Reporter& report) {
-  return LeafAssembler(spill, rules, files, budget, report).run(partitions);
+std::vector<ChunkEntry> build_leaves(File& spill, std::uint64_t spill_end, const RootCube& root, const std::vector<Partition>& partitions, const LeafRules& rules,
+                                     const LeafFiles& files, MemoryBudget& budget, Reporter& report) {
+  return LeafAssembler(spill, spill_end, root, rules, files, budget, report).run(partitions);
 }
 
 }  // namespace chiaro::stream

@@ -14,6 +14,7 @@ struct LeafRules {
   std::uint32_t chunk_surfels = kMaxChunkSurfels;
   double edge = 1;       ///< of the root
   double max_step = 1;   ///< a leaf's step is at most this: an isolated point is stored as finely as its neighbourhood would be
+  bool guess_surfels = false;  ///< normals and radii from the leaf itself, see NormalSource::kNone
 };
 
 struct LeafFiles {
@@ -25,7 +26,8 @@ struct LeafFiles {
 /// Writes the leaves of all partitions in Morton order and returns their entries (no radii, no CRC of the geometry yet: both come with the normals).
 /// A leaf is a cell of at most chunk_surfels points whose step is fine enough: at most max_step, and at most 1 % of its distinct Morton neighbours
 /// fall together at 12 bits. Cells of level 21 are leaves in any case and continue in parts. Neither the partitions nor threads change the result.
-std::vector<ChunkEntry> build_leaves(File& spill, const std::vector<Partition>& partitions, const LeafRules& rules, const LeafFiles& files, MemoryBudget& budget,
+/// spill: `spill_end` bytes of pages; more is appended while partitions that do not fit are cut, and removed again.
+std::vector<ChunkEntry> build_leaves(File& spill, std::uint64_t spill_end, const RootCube& root, const std::vector<Partition>& partitions, const LeafRules& rules, const LeafFiles& files, MemoryBudget& budget,
                                      Reporter& report);
 
 /// Points that one worker sorts at once under the budget, and how many workers.

@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <atomic>
+#include <bit>
 #include <cmath>
 
 #include "stream/base/hash.h"
 #include "stream/base/parallel.h"
+#include "stream/store/morton.h"
 #include "stream/store/store_format.h"
 #include "stream/store/surfel_fit.h"
 
@@ -53,7 +55,7 @@ std::vector<std::pair<std::uint32_t, Box3d>> find_leaves(const FitJob& job, cons
 
 // Calls body(chunk, neighbourhood) for the leaves, by workers that take them in Morton order so that they share the cache.
 template <class F>
-void for_each_leaf(const FitJob& job, const char* stage, MemoryBudget& budget, Reporter& report, const F& body) {
+void for_each_leaf(const FitJob& job, const char* stage, bool with_normals, MemoryBudget& budget, Reporter& report, const F& body) {
   std::uint64_t points = 0, largest = 1;
   for (const std::uint32_t i : job.leaves) {
     points += job.entries[i].count;
@@ -65,7 +67,7 @@ void for_each_leaf(const FitJob& job, const char* stage, MemoryBudget& budget, R
   const auto workers = static_cast<std::size_t>(std::clamp<std::uint64_t>(budget.free_bytes() / (per_worker + pinned), 1, static_cast<std::uint64_t>(std::clamp(ThreadLimit::current(), 1, 64))));
   const BudgetLease lease(budget, per_worker * workers, "fitting of surfels");
   HaloCache cache(
-      budget, [&](std::uint32_t i) { return make_halo_chunk(i, frame_of(job.manifest, job.entries[i]), read_blocks(job, i), job.entries[i].count); },
+      budget, [&](std::uint32_t i) { return make_halo_chunk(i, frame_of(job.manifest, job.entries[i]), read_blocks(job, i), job.entries[i].count, with_normals); },
       [&](std::uint32_t i) { return HaloChunk::bytes_for(job.entries[i].count); });
   const Neighbourhood::Find find = [&](const Box3d& box) { return find_leaves(job, box); };
   report.begin(stage, points, "points");
@@ -95,7 +97,7 @@ FitOptions fit_options(const FitJob& job, double radius_spacings) {
 
 void fit_normals(const FitJob& job, MemoryBudget& budget, Reporter& report) {
   const FitOptions options = fit_options(job, job.estimate_radius_spacings);
-  for_each_leaf(job, "normals", budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
+  for_each_leaf(job, "normals", false, budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
     std::vector<SurfelBlock> blocks = read_blocks(job, chunk);
     const ChunkEntry& e = job.entries[chunk];
     const auto estimated = [&](std::uint32_t slot) { return (blocks[slot / 16].flags[slot % 16] & SurfelBlock::kEstimated) != 0; };
@@ -120,7 +122,7 @@ void fit_normals(const FitJob& job, MemoryBudget& budget, Reporter& report) {
 
 void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report) {
   const FitOptions options = fit_options(job, kRadiusSpacings);
-  for_each_leaf(job, "radii", budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
+  for_each_leaf(job, "radii", true, budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
     std::vector<SurfelBlock> blocks = read_blocks(job, chunk);
     ChunkEntry& e = job.entries[chunk];
     const HaloChunk& own = around.own();
@@ -134,8 +136,9 @@ void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report) {
     }
     e.spacing = static_cast<float>(sum / own.size);
     if (!(e.radius_max > 0)) e.radius_max = options.lone_radius;
+    const RadiusTable radii(e.radius_max);
     for (std::uint32_t i = 0; i < own.size; ++i) {
-      const std::uint8_t code = encode_radius(fits[i].radius, e.radius_max);
+      const std::uint8_t code = radii.encode(fits[i].radius);
       for (std::uint32_t slot = own.first_slot[i]; slot < own.first_slot[i + 1]; ++slot) {
         SurfelBlock& b = blocks[slot / 16];
         b.log_radius[slot % 16] = code;
@@ -147,6 +150,43 @@ void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report) {
     job.geometry.write_at(e.offset, blocks.data(), geometry_bytes(e.count));
     e.geometry_crc = crc32c(blocks.data(), geometry_bytes(e.count));
   });
+}
+
+namespace {
+
+// A surface turned at random meets 1.5 voxels for each square of their edge. The finest voxels that still hold four points on average tell its area.
+double mean_spacing(const ChunkEntry& e, const std::vector<SurfelBlock>& blocks, double step) {
+  std::array<std::uint64_t, 17> first_differs{};  // neighbours that part at this depth
+  for (std::uint32_t i = 1; i < e.count; ++i) {
+    const SurfelBlock &a = blocks[(i - 1) / 16], &b = blocks[i / 16];
+    const std::size_t k = (i - 1) % 16, l = i % 16;
+    const auto differ = static_cast<std::uint32_t>((a.x[k] ^ b.x[l]) | (a.y[k] ^ b.y[l]) | (a.z[k] ^ b.z[l]));
+    if (differ != 0) ++first_differs[static_cast<std::size_t>(17 - std::bit_width(differ))];
+  }
+  std::uint64_t voxels = 1;
+  int bits = 0;
+  while (bits < kLocalBits && 4 * (voxels + first_differs[static_cast<std::size_t>(bits + 1)]) <= e.count) voxels += first_differs[static_cast<std::size_t>(++bits)];
+  return std::ldexp(step, kLocalBits - bits) * std::sqrt(static_cast<double>(voxels) / (1.5 * e.count));
+}
+
+}  // namespace
+
+void guess_surfels(ChunkEntry& e, std::vector<SurfelBlock>& blocks, double step) {
+  e.spacing = static_cast<float>(mean_spacing(e, blocks, step));
+  e.radius_max = 1.5f * e.spacing;
+  for (std::size_t k = 0; k < blocks.size(); ++k) {
+    SurfelBlock& b = blocks[k];
+    const std::size_t count = std::min<std::size_t>(16, e.count - 16 * k);
+    const auto code = encode_normal(plane_normal(b, count));
+    for (std::size_t lane = 0; lane < count; ++lane) {
+      b.log_radius[lane] = 255;
+      if (!(b.flags[lane] & SurfelBlock::kEstimated)) continue;
+      b.normal_u[lane] = code[0];
+      b.normal_v[lane] = code[1];
+      b.flags[lane] = SurfelBlock::kEstimated | SurfelBlock::kIsolated;
+    }
+  }
+  e.geometry_crc = crc32c(blocks.data(), geometry_bytes(e.count));
 }
 
 }  // namespace chiaro::stream

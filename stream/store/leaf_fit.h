@@ -23,4 +23,7 @@ void fit_normals(const FitJob& job, MemoryBudget& budget, Reporter& report);
 /// Radii, radius_max, spacing and geometry CRC of every leaf.
 void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report);
 
+/// Normals and radii of a leaf from nothing but the leaf, see NormalSource::kNone. Fills radius_max, spacing and geometry_crc of the entry.
+void guess_surfels(ChunkEntry& entry, std::vector<SurfelBlock>& blocks, double step);
+
 }  // namespace chiaro::stream

@@ -27,70 +27,44 @@ float gap_squared(const FlatBox& a, const FlatBox& b) {
   return sum;
 }
 
-void build_levels(HaloChunk& c) {
-  const std::size_t groups = c.x.size() / HaloChunk::kGroup;
-  c.levels.emplace_back(groups, empty_box());
-  for (std::size_t i = 0; i < c.size; ++i) extend(c.levels[0][i / HaloChunk::kGroup], {{c.x[i], c.y[i], c.z[i]}, {c.x[i], c.y[i], c.z[i]}});
-  while (c.levels.back().size() > 1) {
-    const std::vector<FlatBox>& below = c.levels.back();
-    std::vector<FlatBox> above((below.size() + 7) / 8, empty_box());
-    for (std::size_t i = 0; i < below.size(); ++i) extend(above[i / 8], below[i]);
-    c.levels.push_back(std::move(above));
+EightBoxes no_boxes() {
+  EightBoxes b;
+  for (std::size_t a = 0; a < 3; ++a)
+    for (std::size_t i = 0; i < 8; ++i) {
+      b.min[a][i] = kFar;
+      b.max[a][i] = -kFar;
+    }
+  return b;
+}
+
+void put(BoxLevels& levels, std::size_t level, std::size_t number, const FlatBox& box) {
+  if (number / 8 >= levels[level].size()) levels[level].push_back(no_boxes());
+  EightBoxes& b = levels[level][number / 8];
+  for (std::size_t a = 0; a < 3; ++a) {
+    b.min[a][number % 8] = box.min[a];
+    b.max[a][number % 8] = box.max[a];
   }
 }
 
-// Visits the groups whose box comes within the radius, in order.
-template <class F>
-void visit_groups(const HaloChunk& c, std::size_t level, std::size_t node, const FlatBox& box, float radius_squared, const F& body) {
-  if (gap_squared(c.levels[level][node], box) > radius_squared) return;
-  if (level == 0) return body(node);
-  const std::size_t end = std::min(c.levels[level - 1].size(), 8 * node + 8);
-  for (std::size_t i = 8 * node; i < end; ++i) visit_groups(c, level - 1, i, box, radius_squared, body);
-}
-
-void gather_from(const HaloChunk& c, const FlatBox& box, float radius, const Vec3d* shift, Candidates& out) {
-  visit_groups(c, c.levels.size() - 1, 0, box, radius * radius, [&](std::size_t group) {
-    constexpr std::size_t kGroup = HaloChunk::kGroup;
-    const std::size_t begin = group * kGroup, count = std::min<std::size_t>(c.size - begin, kGroup);
-    const float *x = &c.x[begin], *y = &c.y[begin], *z = &c.z[begin];
-    std::array<std::uint32_t, kGroup> inside;
-    const auto gap = [](float p, float low, float high) {
-      const float q = p < low ? low : p;
-      return p - (q > high ? high : q);
-    };
-    for (std::size_t i = 0; i < kGroup; ++i) {
-      const float dx = gap(x[i], box.min[0], box.max[0]), dy = gap(y[i], box.min[1], box.max[1]), dz = gap(z[i], box.min[2], box.max[2]);
-      inside[i] = dx * dx + dy * dy + dz * dz <= radius * radius;
-    }
-    out.reserve(out.num + kGroup);
-    float *ox = out.x.data(), *oy = out.y.data(), *oz = out.z.data();
-    auto* normal = out.normal.data();
-    std::uint8_t* flags = out.flags.data();
-    std::size_t n = out.num;
-    for (std::size_t i = 0; i < count; ++i) {
-      ox[n] = x[i];
-      oy[n] = y[i];
-      oz[n] = z[i];
-      normal[n] = c.normal[begin + i];
-      flags[n] = c.flags[begin + i];
-      n += inside[i];
-    }
-    if (shift) {
-      for (std::size_t i = out.num; i < n; ++i) {
-        ox[i] = static_cast<float>(shift->x() + ox[i]);
-        oy[i] = static_cast<float>(shift->y() + oy[i]);
-        oz[i] = static_cast<float>(shift->z() + oz[i]);
-      }
-    }
-    out.num = n;
-  });
+void build_levels(HaloChunk& c) {
+  std::vector<FlatBox> boxes(c.x.size() / HaloChunk::kGroup, empty_box());
+  for (std::size_t i = 0; i < c.size; ++i) extend(boxes[i / HaloChunk::kGroup], {{c.x[i], c.y[i], c.z[i]}, {c.x[i], c.y[i], c.z[i]}});
+  for (;;) {
+    c.levels.emplace_back();
+    for (std::size_t i = 0; i < boxes.size(); ++i) put(c.levels, c.levels.size() - 1, i, boxes[i]);
+    std::vector<FlatBox> above((boxes.size() + 7) / 8, empty_box());
+    for (std::size_t i = 0; i < boxes.size(); ++i) extend(above[i / 8], boxes[i]);
+    boxes = std::move(above);
+    if (boxes.size() == 1) break;
+  }
+  c.bounds = boxes[0];
 }
 
 }  // namespace
 
-std::uint64_t HaloChunk::bytes_for(std::uint32_t count) { return 24ull * count + 1024; }
+std::uint64_t HaloChunk::bytes_for(std::uint32_t count) { return 34ull * count + 1024; }
 
-std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count) {
+std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count, bool with_normals) {
   auto chunk = std::make_shared<HaloChunk>();
   HaloChunk& c = *chunk;
   c.index = index;
@@ -108,15 +82,21 @@ std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const Chun
   c.x.assign(padded, kFar);
   c.y.assign(padded, kFar);
   c.z.assign(padded, kFar);
-  c.normal.resize(padded);
   c.flags.resize(padded);
+  if (with_normals)
+    for (std::vector<float>* v : {&c.nx, &c.ny, &c.nz}) v->resize(padded);
   for (std::uint32_t i = 0; i < c.size; ++i) {
     const std::uint32_t slot = c.first_slot[i];
     const auto q = position(slot);
     c.x[i] = (static_cast<float>(q[0]) + 0.5f) * step;
     c.y[i] = (static_cast<float>(q[1]) + 0.5f) * step;
     c.z[i] = (static_cast<float>(q[2]) + 0.5f) * step;
-    c.normal[i] = {blocks[slot / 16].normal_u[slot % 16], blocks[slot / 16].normal_v[slot % 16]};
+    if (with_normals) {
+      const Vec3f n = decode_normal(blocks[slot / 16].normal_u[slot % 16], blocks[slot / 16].normal_v[slot % 16]);
+      c.nx[i] = n.x();
+      c.ny[i] = n.y();
+      c.nz[i] = n.z();
+    }
     c.flags[i] = blocks[slot / 16].flags[slot % 16] & SurfelBlock::kFlags;
   }
   build_levels(c);
@@ -167,7 +147,7 @@ void Candidates::reserve(std::size_t size) {
   x.resize(size);
   y.resize(size);
   z.resize(size);
-  normal.resize(size);
+  for (std::vector<float>* v : {&nx, &ny, &nz}) v->resize(size);
   flags.resize(size);
 }
 
@@ -195,10 +175,39 @@ void Neighbourhood::find_near(float radius) {
   }
 }
 
-void Neighbourhood::gather(const FlatBox& box, float radius, Candidates& out) {
+void Neighbourhood::gather_from(const HaloChunk& c, const FlatBox& box, float radius, const Vec3d* shift, bool with_normals, Candidates& out) {
+  selection_.num = 0;
+  select_from_tree({c.x.data(), c.y.data(), c.z.data(), c.x.size()}, c.levels, box.min, box.max, radius * radius, selection_);
+  const std::size_t n = selection_.num;
+  out.reserve(out.num + n + 8);
+  for (std::size_t i = 0; i < n; ++i) {
+    out.x[out.num + i] = selection_.x[i];
+    out.y[out.num + i] = selection_.y[i];
+    out.z[out.num + i] = selection_.z[i];
+  }
+  if (with_normals) {
+    for (std::size_t i = 0; i < n; ++i) {
+      const std::size_t from = selection_.index[i], to = out.num + i;
+      out.nx[to] = c.nx[from];
+      out.ny[to] = c.ny[from];
+      out.nz[to] = c.nz[from];
+      out.flags[to] = c.flags[from];
+    }
+  }
+  if (shift) {
+    for (std::size_t i = out.num; i < out.num + n; ++i) {
+      out.x[i] = static_cast<float>(shift->x() + out.x[i]);
+      out.y[i] = static_cast<float>(shift->y() + out.y[i]);
+      out.z[i] = static_cast<float>(shift->z() + out.z[i]);
+    }
+  }
+  out.num += n;
+}
+
+void Neighbourhood::gather(const FlatBox& box, float radius, bool with_normals, Candidates& out) {
   if (radius > near_radius_) find_near(2 * radius);
   out.num = 0;
-  gather_from(*own_, box, radius, nullptr, out);
+  gather_from(*own_, box, radius, nullptr, with_normals, out);
   for (const Near& n : near_) {
     if (gap_squared(n.box, box) > radius * radius) continue;
     const auto chunk = cache_.get(n.chunk);
@@ -210,8 +219,10 @@ void Neighbourhood::gather(const FlatBox& box, float radius, Candidates& out) {
       there.max[a] = static_cast<float>(box.max[a] - shift[static_cast<int>(a)]);
       magnitude = std::max({magnitude, std::abs(there.min[a]), std::abs(there.max[a])});
     }
-    gather_from(*chunk, there, radius + 4e-7f * magnitude, &shift, out);  // grown by the rounding of the shift
+    gather_from(*chunk, there, radius + 4e-7f * magnitude, &shift, with_normals, out);  // grown by the rounding of the shift
   }
+  out.reserve(out.num + 8);
+  for (std::size_t i = out.num; i < out.num + 8; ++i) out.x[i] = out.y[i] = out.z[i] = kFar;
 }
 
 }  // namespace chiaro::stream

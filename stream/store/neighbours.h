@@ -9,27 +9,29 @@
 
 #include "stream/base/budget.h"
 #include "stream/base/file.h"
+#include "stream/store/near_kernels.h"
 #include "stream/store/store.h"
 
 namespace chiaro::stream {
 
 /// The distinct positions of a leaf: points on one spot are one entry.
 struct HaloChunk {
-  static constexpr std::uint32_t kGroup = 16;        ///< points in a box of the lowest level
+  static constexpr std::uint32_t kGroup = kBoxedPoints;
   std::uint32_t index = 0;
   Vec3d origin_in_world;
   std::uint32_t size = 0;                            ///< distinct positions
   std::vector<float> x, y, z;                        ///< relative to the cell's lower corner; padded to groups with a far value
-  std::vector<std::array<std::int16_t, 2>> normal;   ///< of the first surfel on the spot
-  std::vector<std::uint8_t> flags;
+  std::vector<float> nx, ny, nz;                     ///< unit normal of the first surfel on the spot; empty while normals are being fitted
+  std::vector<std::uint8_t> flags;                   ///< of the first surfel on the spot
   std::vector<std::uint32_t> first_slot;             ///< size + 1
   struct FlatBox {
     std::array<float, 3> min, max;
   };
-  std::vector<std::vector<FlatBox>> levels;          ///< levels[0]: groups; levels[l + 1]: 8 boxes of levels[l] each
+  FlatBox bounds{};
+  BoxLevels levels;                                  ///< of groups of kGroup points
   static std::uint64_t bytes_for(std::uint32_t count);
 };
-std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count);
+std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count, bool with_normals);
 
 /// Leaves as HaloChunks, least recently used first out. Thread-safe; what a caller holds stays valid.
 class HaloCache {
@@ -55,12 +57,12 @@ class HaloCache {
   std::list<std::uint32_t> order_;  ///< most recent first
 };
 
-/// Points near a box, relative to the lower corner of the chunk that asks. The first `num` entries count.
+/// Points near a box, relative to the lower corner of the chunk that asks. The first `num` entries count; positions behind, up to a multiple of eight, are far.
 struct Candidates {
   std::size_t num = 0;
   std::vector<float> x, y, z;
-  std::vector<std::array<std::int16_t, 2>> normal;
-  std::vector<std::uint8_t> flags;
+  std::vector<float> nx, ny, nz;      ///< if asked for
+  std::vector<std::uint8_t> flags;    ///< if asked for
   std::size_t size() const { return num; }
   void reserve(std::size_t size);
 };
@@ -73,7 +75,7 @@ class Neighbourhood {
   Neighbourhood(std::shared_ptr<const HaloChunk> own, const Box3d& own_bounds, const Find& find, HaloCache& cache);
   const HaloChunk& own() const { return *own_; }
   /// All points within `radius` of the box (own frame), in an order that does not depend on the radius.
-  void gather(const HaloChunk::FlatBox& box, float radius, Candidates& out);
+  void gather(const HaloChunk::FlatBox& box, float radius, bool with_normals, Candidates& out);
 
  private:
   struct Near {
@@ -81,11 +83,13 @@ class Neighbourhood {
     HaloChunk::FlatBox box;  ///< in the own frame, grown for rounding
   };
   void find_near(float radius);
+  void gather_from(const HaloChunk& chunk, const HaloChunk::FlatBox& box, float radius, const Vec3d* shift, bool with_normals, Candidates& out);
   std::shared_ptr<const HaloChunk> own_;
   Box3d own_bounds_;
   const Find& find_;
   HaloCache& cache_;
   std::vector<Near> near_;
+  Selection selection_;
   float near_radius_ = 0;    ///< near_ holds all leaves that come this close
 };
 

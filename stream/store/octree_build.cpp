@@ -6,6 +6,7 @@
 #include "stream/base/error.h"
 #include "stream/base/hash.h"
 #include "stream/base/parallel.h"
+#include "stream/cloud/spool.h"
 #include "stream/store/build_journal.h"
 #include "stream/store/inner_levels.h"
 #include "stream/store/layer.h"
@@ -17,20 +18,21 @@ namespace chiaro::stream {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr int kAlgorithmVersion = 2;      // part of the key: raise when the same input gives another store
+constexpr int kAlgorithmVersion = 3;      // part of the key: raise when the same input gives another store
 constexpr std::size_t kBlockPoints = 65536;
+constexpr std::uint64_t kMostPartitionPoints = 400'000;
 constexpr double kMaxCoordinate = 1e9;    // project units
 constexpr std::uint64_t kMaxPoints = std::uint64_t{1} << 40;
-constexpr const char* kNotFinite = "not finite";
 constexpr const char* kOutOfRange = "out of range";
 
 /// Reads all clouds block by block, the next block while the current one is worked on.
 template <class Body>
-void for_each_block(const CloudInput& input, MemoryBudget& budget, const Body& body) {
+void for_each_block(const CloudInput& input, PointSpool& spool, PointSpool::Reading reading, MemoryBudget& budget, const Body& body) {
   const BudgetLease lease(budget, 2 * kBlockPoints * 64, "blocks of points");
   std::uint64_t first = 0;
   for (std::size_t cloud = 0; cloud < input.files.size(); ++cloud) {
-    const auto reader = input.open(cloud);
+    const auto reader = spool.open(cloud, reading, [&] { return input.open(cloud); });
+    reader->wants(reading == PointSpool::Reading::kFirst ? PointParts::kPositions : PointParts::kNoExtras);
     PointBlock block, next;
     bool more = reader->read(block, kBlockPoints);
     while (more) {
@@ -49,7 +51,7 @@ void for_each_block(const CloudInput& input, MemoryBudget& budget, const Body& b
 class Builder {
  public:
   Builder(const CloudInput& input, const fs::path& out, const BuildOptions& options, MemoryBudget& budget, Reporter& report)
-      : input_(input), out_(out), part_(out.string() + ".part"), options_(options), budget_(budget), report_(report) {}
+      : input_(input), out_(out), part_(out.string() + ".part"), spool_(part_), options_(options), budget_(budget), report_(report) {}
 
   Manifest run() {
     const std::string key = build_key(input_, options_);
@@ -97,7 +99,7 @@ class Builder {
 
   // Reason to leave a point out, or null.
   const char* rejection(std::uint64_t number, const Vec3d& p) const {
-    if (!p.allFinite()) return kNotFinite;
+    if (const char* why = why_unusable(p)) return why;
     if (p.cwiseAbs().maxCoeff() > kMaxCoordinate) return kOutOfRange;
     if (input_.rejected && input_.rejected(number)) return input_.rejected_reason.c_str();
     return nullptr;
@@ -117,16 +119,20 @@ class Builder {
     for (const auto& f : input_.files) m.source_files.push_back(f.string());
     m.source_fingerprints = input_.fingerprints;
     m.source_points.assign(input_.files.size(), 0);
-    bool all_have_normals = true, one_lacks_normals = false;
+    bool all_have_normals = true, one_lacks_normals = false, any_has_normals = false;
     CountGrid grid(budget_, budget_.limit_bytes() / 16);
     std::vector<Vec3d> accepted;
     report_.begin("count points", declared_points(), "points");
     std::map<std::string, std::uint64_t> rejected;
-    for_each_block(input_, budget_, [&](std::size_t cloud, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
+    for_each_block(input_, spool_, PointSpool::Reading::kFirst, budget_, [&](std::size_t cloud, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
       report_.check();
       if (first + block.size() > kMaxPoints) throw Error(concat("more than ", kMaxPoints, " points"));
       b_.has_colour = b_.has_colour || schema.has_colour;
+      grids_.resize(input_.files.size());
+      grids_[cloud] = schema.grid;
+      colour_is_16_bit_ = colour_is_16_bit_ || schema.colour_is_16_bit;
       all_have_normals = all_have_normals && schema.has_normal;
+      any_has_normals = any_has_normals || schema.has_normal;
       one_lacks_normals = one_lacks_normals || !schema.has_normal;
       accepted.clear();
       for (std::size_t i = 0; i < block.size(); ++i) {
@@ -144,14 +150,18 @@ class Builder {
     if (m.points_stored == 0) throw Error(no_point_message());
     if (options_.normals == NormalSource::kFile && one_lacks_normals) throw Error("normals = \"file\", but a cloud has no normals: use \"auto\" or \"estimate\"");
     m.normals_from_file = options_.normals != NormalSource::kEstimate && all_have_normals;
+    has_normals_ = options_.normals != NormalSource::kEstimate && any_has_normals;
+    bounds_extent_ = grid.bounds().max - grid.bounds().min;
     b_.root = grid.root();
     b_.typical_spacing = grid.typical_spacing();
     m.origin_in_world = b_.root.origin();
     m.edge = b_.root.edge();
     const auto cells = grid.cells(b_.root);
     const BudgetLease lease(budget_, cells.size() * sizeof(cells[0]), "counting grid");
-    // Half a worker's room: the partitions of a build that is resumed with less memory should still fit.
-    const std::uint64_t capacity = std::max<std::uint64_t>(leaf_workers(budget_, options_.chunk_surfels).capacity / 2, options_.chunk_surfels);
+    // Half a worker's room: the partitions of a build that is resumed with less memory should still fit. And no more than the processor's caches and the
+    // allocator handle well.
+    const std::uint64_t room = std::min(leaf_workers(budget_, options_.chunk_surfels).capacity / 2, kMostPartitionPoints);
+    const std::uint64_t capacity = std::max<std::uint64_t>(room, options_.chunk_surfels);
     b_.partitions = make_partitions(cells, grid.level(b_.root), options_.chunk_surfels, capacity);
   }
 
@@ -174,63 +184,91 @@ class Builder {
 
   void distribute() {
     const std::uint64_t n = b_.manifest.points_stored;
-    const std::uint64_t spill_bytes = n * sizeof(SpillRecord);
+    const std::uint64_t spill_bytes = n * spill_bytes_per_point(axis_bits(), b_.manifest.points_read, b_.has_colour, colour_is_16_bit_, has_normals_) + (std::uint64_t{4} << 20) + n / 8;
     const std::uint64_t store_bytes = n * (b_.has_colour ? 26 : 17) * 7 / 5;
-    const std::uint64_t free = free_disk_bytes(part_);
+    std::uint64_t free = free_disk_bytes(part_);
+    if (free < spill_bytes + store_bytes) {
+      spool_.drop();
+      free = free_disk_bytes(part_);
+    }
     report_.note(concat(n, " points: ", format_bytes(spill_bytes), " of disk while building, about ", format_bytes(store_bytes), " for the store"));
     if (free < spill_bytes + store_bytes)
       throw Error(concat(out_.string(), ": no space: the build needs ", format_bytes(spill_bytes + store_bytes), ", the disk has ", format_bytes(free), " free"));
     File file(part_ / "spill.bin", File::Mode::kCreate);
     file.reserve(spill_bytes);
-    SpillWriter writer(file, b_.partitions, 0, budget_, budget_.free_bytes() / 4);
-    std::vector<SpillRecord> records(kBlockPoints);
+    SpillWriter writer(file, b_.root, b_.partitions, 0, budget_, budget_.free_bytes() / 4);
+    std::vector<SpillPoint> points(kBlockPoints);
     std::vector<std::uint32_t> partition(kBlockPoints);
     constexpr std::uint32_t kRejected = 0xffffffffu;
     b_.estimated_normals = 0;
     report_.begin("distribute points", b_.manifest.points_read, "points");
-    for_each_block(input_, budget_, [&](std::size_t, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
+    for_each_block(input_, spool_, PointSpool::Reading::kSecond, budget_, [&](std::size_t cloud, const PointSchema& schema, std::uint64_t first, const PointBlock& block) {
       report_.check();
+      const PositionGrid* grid = grids_[cloud] ? &*grids_[cloud] : nullptr;
+      const Vec3d inverse = grid ? Vec3d(grid->scale.cwiseInverse()) : Vec3d::Zero();
       parallel_blocks(block.size(), 4096, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
           if (rejection(first + i, block.position[i])) {
             partition[i] = kRejected;
             continue;
           }
-          records[i] = make_record(schema, first + i, block, i);
-          partition[i] = static_cast<std::uint32_t>(writer.partition_of(records[i].cells));
+          points[i] = make_point(schema, grid, inverse, first + i, block, i);
+          const auto q = b_.root.quantise(block.position[i]);
+          partition[i] = static_cast<std::uint32_t>(writer.partition_of(morton_encode(q[0] >> kLocalBits, q[1] >> kLocalBits, q[2] >> kLocalBits)));
+          if (!points[i].grid) points[i].place = {static_cast<std::int64_t>(q[0]), static_cast<std::int64_t>(q[1]), static_cast<std::int64_t>(q[2])};
         }
       });
       for (std::size_t i = 0; i < block.size(); ++i) {
         if (partition[i] == kRejected) continue;
-        b_.estimated_normals += !records[i].has_normal();
-        writer.append(partition[i], records[i]);
+        b_.estimated_normals += !points[i].has_normal;
+        writer.append(partition[i], points[i]);
       }
       report_.progress(first + block.size());
     });
-    writer.finish();
+    b_.spill_bytes = writer.finish();
+    file.truncate(b_.spill_bytes);
     file.sync();
     report_.end();
     if (options_.normals != NormalSource::kEstimate && b_.manifest.normals_from_file && b_.estimated_normals > 0)
       report_.note(concat(b_.estimated_normals, " points have a zero or damaged normal: estimated instead"));
   }
 
-  SpillRecord make_record(const PointSchema& schema, std::uint64_t number, const PointBlock& block, std::size_t i) const {
-    SpillRecord r;
-    const auto q = b_.root.quantise(block.position[i]);
-    r.cells = morton_encode(q[0] >> kLocalBits, q[1] >> kLocalBits, q[2] >> kLocalBits);
-    r.local_flags = morton_encode(q[0] & 0xffff, q[1] & 0xffff, q[2] & 0xffff);
-    r.source_low = static_cast<std::uint32_t>(number);
-    r.source_high = static_cast<std::uint8_t>(number >> 32);
+  // Bits of the three coordinates of a point in the spill file, at most.
+  int axis_bits() const {
+    int most = 0;
+    for (std::size_t cloud = 0; cloud < grids_.size(); ++cloud) {
+      const std::optional<PositionGrid>& grid = grids_[cloud];
+      int sum = 0;
+      if (b_.manifest.source_points[cloud] == 0) continue;
+      for (int a = 0; a < 3; ++a) {
+        const double steps = grid ? bounds_extent_[a] / std::abs(grid->scale[a]) + 2 : 1e18;
+        sum += std::min(kAxisBits, static_cast<int>(std::ceil(std::log2(steps))));
+      }
+      most = std::max(most, sum);
+    }
+    return most;
+  }
+
+  SpillPoint make_point(const PointSchema& schema, const PositionGrid* grid, const Vec3d& inverse, std::uint64_t number, const PointBlock& block, std::size_t i) const {
+    SpillPoint p;
+    if (grid) {
+      const Vec3d k = ((block.position[i] - grid->add).array() * inverse.array()).matrix();
+      if (k.cwiseAbs().maxCoeff() < 0x1p40) {
+        for (std::size_t a = 0; a < 3; ++a) p.place[a] = static_cast<std::int64_t>(k[static_cast<int>(a)] + (k[static_cast<int>(a)] < 0 ? -0.5 : 0.5));
+        if (grid->position(p.place) == block.position[i]) p.grid = grid;
+      }
+    }
+    p.source = number;
     if (schema.has_normal && options_.normals != NormalSource::kEstimate) {
       const Vec3d normal = block.normal[i].cast<double>();
       const double length = normal.norm();
       if (std::isfinite(length) && length > 1e-20) {
-        r.normal = encode_normal((normal / length).cast<float>());
-        r.local_flags |= SpillRecord::kHasNormal;
+        p.normal = encode_normal((normal / length).cast<float>());
+        p.has_normal = true;
       }
     }
-    if (schema.has_colour) r.colour = block.colour[i];
-    return r;
+    if (schema.has_colour) p.colour = block.colour[i];
+    return p;
   }
 
   void leaves() {
@@ -238,9 +276,9 @@ class Builder {
       File spill(part_ / "spill.bin", File::Mode::kReadWrite);
       File geometry(geometry_path(part_), File::Mode::kCreate), source(source_path(part_), File::Mode::kCreate), colour;
       if (b_.has_colour) colour = File(part_ / "colour.bin", File::Mode::kCreate);
-      const LeafRules rules{options_.chunk_surfels, b_.root.edge(), b_.typical_spacing / 16};
+      const LeafRules rules{options_.chunk_surfels, b_.root.edge(), b_.typical_spacing / 16, options_.normals == NormalSource::kNone};
       report_.begin("sort points", b_.manifest.points_stored, "points");
-      const auto leaf_entries = build_leaves(spill, b_.partitions, rules, {geometry, source, b_.has_colour ? &colour : nullptr}, budget_, report_);
+      const auto leaf_entries = build_leaves(spill, b_.spill_bytes, b_.root, b_.partitions, rules, {geometry, source, b_.has_colour ? &colour : nullptr}, budget_, report_);
       report_.end();
       b_.leaf_geometry_end = 0;
       b_.manifest.bounds = Box3d{};
@@ -281,12 +319,12 @@ class Builder {
   }
 
   void normals() {
-    if (b_.estimated_normals > 0) fit(nullptr, [&](const FitJob& job) { fit_normals(job, budget_, report_); });
+    if (b_.estimated_normals > 0 && options_.normals != NormalSource::kNone) fit(nullptr, [&](const FitJob& job) { fit_normals(job, budget_, report_); });
     finish(BuildPhase::kNormals);
   }
 
   void radii() {
-    fit("leaves.bin", [&](const FitJob& job) { fit_radii(job, budget_, report_); });
+    if (options_.normals != NormalSource::kNone) fit("leaves.bin", [&](const FitJob& job) { fit_radii(job, budget_, report_); });
     finish(BuildPhase::kRadii);
   }
 
@@ -330,10 +368,14 @@ class Builder {
 
   const CloudInput& input_;
   fs::path out_, part_;
+  PointSpool spool_;   // for the second reading of formats that are slow to decode
   const BuildOptions& options_;
   MemoryBudget& budget_;
   Reporter& report_;
   BuildJournal b_;
+  std::vector<std::optional<PositionGrid>> grids_;   // of the clouds, as the count saw them
+  Vec3d bounds_extent_ = Vec3d::Zero();
+  bool colour_is_16_bit_ = false, has_normals_ = false;
 };
 
 CloudInput input_from(const std::vector<fs::path>& files, std::uint64_t memory_bytes) {

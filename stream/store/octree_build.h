@@ -14,7 +14,9 @@
 
 namespace chiaro::stream {
 
-enum class NormalSource { kAuto, kFile, kEstimate };
+/// kNone: no neighbours are looked for. Normals that the file does not bring are those of planes through runs of 16 points, and all radii of a leaf are 1.5 times
+/// its mean spacing: a preview, made several times as fast.
+enum class NormalSource { kAuto, kFile, kEstimate, kNone };
 
 struct BuildOptions {
   std::string unit = "m";

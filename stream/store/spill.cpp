@@ -2,48 +2,269 @@
 
 #include <algorithm>
 #include <bit>
+#include <cmath>
+#include <cstring>
 
 #include "stream/base/error.h"
+#include "stream/base/hash.h"
 
 namespace chiaro::stream {
+namespace {
 
-SpillWriter::SpillWriter(File& file, const std::vector<Partition>& partitions, std::uint64_t region_begin, MemoryBudget& budget, std::uint64_t buffer_bytes) : file_(file) {
-  const std::uint64_t per_partition = std::clamp<std::uint64_t>(buffer_bytes / partitions.size(), 2048, 1 << 18);
-  buffer_records_ = static_cast<std::uint32_t>(per_partition / sizeof(SpillRecord));
-  lease_ = BudgetLease(budget, partitions.size() * (buffer_records_ * sizeof(SpillRecord) + sizeof(Region) + 8), "spill buffers");
-  buffers_.resize(partitions.size() * buffer_records_);
-  std::uint64_t at = region_begin;
+enum Column : std::size_t { kX, kY, kZ, kSource, kRed, kGreen, kBlue, kNormalU, kNormalV, kHasNormal, kNumColumns };
+
+/// A column holds min + (bits of the row << shift) * factor.
+struct ColumnHeader {
+  std::int64_t min = 0;
+  std::uint8_t bits = 0, shift = 0;
+  std::uint16_t factor = 1;
+  std::uint32_t unused = 0;
+};
+
+struct PageHeader {
+  std::uint32_t crc = 0, bytes = 0;  // of all that follows `bytes`; of the page
+  std::uint32_t partition = 0, count = 0;
+  std::uint32_t on_grid = 0, unused = 0;
+  std::array<double, 3> scale{}, add{};
+  std::array<ColumnHeader, kNumColumns> columns;
+};
+static_assert(sizeof(PageHeader) == 72 + 16 * kNumColumns);
+constexpr std::size_t kCheckedFrom = 8;
+constexpr std::uint32_t kMostPagePoints = 1 << 16;
+constexpr std::uint64_t kColourStep = 257;  // 8-bit colours are stored times this
+
+std::size_t packed_bytes(std::uint32_t count, int bits) { return (static_cast<std::size_t>(count) * static_cast<std::size_t>(bits) + 63) / 64 * 8; }
+
+using Values = std::vector<std::int64_t>;
+
+ColumnHeader header_of(const Values& values, bool colour) {
+  ColumnHeader h;
+  std::int64_t low = values[0], high = low;
+  for (const std::int64_t v : values) {
+    low = std::min(low, v);
+    high = std::max(high, v);
+  }
+  h.min = low;
+  if (low == high) return h;
+  h.min = 0;
+  std::uint64_t differ = 0;
+  if (colour && std::all_of(values.begin(), values.end(), [](std::int64_t v) { return v % static_cast<std::int64_t>(kColourStep) == 0; })) {
+    h.factor = kColourStep;
+    differ = static_cast<std::uint64_t>(high) / kColourStep;
+  } else {
+    h.min = low;
+    for (const std::int64_t v : values) differ |= static_cast<std::uint64_t>(v - low);
+  }
+  h.shift = static_cast<std::uint8_t>(differ == 0 ? 0 : std::countr_zero(differ));
+  if (h.factor != 1) h.shift = 0;
+  h.bits = static_cast<std::uint8_t>(std::bit_width(differ) - h.shift);
+  return h;
+}
+
+void pack(const Values& values, const ColumnHeader& h, std::vector<std::byte>& out) {
+  std::uint64_t word = 0;
+  int filled = 0;
+  const std::size_t begin = out.size();
+  out.resize(begin + packed_bytes(static_cast<std::uint32_t>(values.size()), h.bits));
+  std::byte* at = out.data() + begin;
+  if (h.bits == 0) return;
+  for (const std::int64_t v : values) {
+    std::uint64_t row = static_cast<std::uint64_t>(v - h.min) >> h.shift;
+    if (h.factor != 1) row /= kColourStep;
+    word |= row << filled;
+    filled += h.bits;
+    if (filled < 64) continue;
+    std::memcpy(at, &word, 8);
+    at += 8;
+    filled -= 64;
+    word = filled > 0 ? row >> (h.bits - filled) : 0;
+  }
+  if (filled > 0) std::memcpy(at, &word, 8);
+}
+
+// bits <= 56; eight bytes behind the column are readable.
+void unpack(const std::byte* from, const ColumnHeader& h, std::size_t count, Values& values) {
+  values.resize(count);
+  const std::uint64_t mask = (std::uint64_t{1} << h.bits) - 1;
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::size_t bit = i * h.bits;
+    std::uint64_t word;
+    std::memcpy(&word, from + bit / 8, 8);
+    values[i] = h.min + static_cast<std::int64_t>(((word >> (bit % 8) & mask) << h.shift) * h.factor);
+  }
+}
+
+std::array<std::uint64_t, 3> place_in_root(const RootCube& root, const PositionGrid* grid, const std::array<std::int64_t, 3>& place) {
+  if (!grid) return {static_cast<std::uint64_t>(place[0]), static_cast<std::uint64_t>(place[1]), static_cast<std::uint64_t>(place[2])};
+  return root.quantise(grid->position(place));
+}
+
+[[noreturn]] void damaged(const File& file, std::uint64_t offset) { throw Error(concat(file.path().string(), ": the page at byte ", offset, " is damaged")); }
+
+bool is_plausible(const PageHeader& h) {
+  std::size_t bytes = sizeof(PageHeader);
+  if (h.count == 0 || h.count > kMostPagePoints) return false;
+  for (const ColumnHeader& c : h.columns) {
+    if (c.bits > 56 || c.shift > 56) return false;
+    bytes += packed_bytes(h.count, c.bits);
+  }
+  return bytes == h.bytes;
+}
+
+}  // namespace
+
+SpillPoint spill_point(const SpillRecord& r) {
+  SpillPoint p;
+  const auto cell = morton_decode(r.cells), local = morton_decode(r.local_flags & 0xffffffffffffull);
+  for (std::size_t a = 0; a < 3; ++a) p.place[a] = static_cast<std::int64_t>(std::uint64_t{cell[a]} << kLocalBits | local[a]);
+  p.source = r.source();
+  p.colour = r.colour;
+  p.normal = r.normal;
+  p.has_normal = r.has_normal();
+  return p;
+}
+
+SpillWriter::SpillWriter(File& file, const RootCube& root, const std::vector<Partition>& partitions, std::uint64_t offset, MemoryBudget& budget, std::uint64_t buffer_bytes)
+    : file_(file), root_(root), out_offset_(offset) {
+  const std::uint64_t per_partition = std::clamp<std::uint64_t>(buffer_bytes / partitions.size(), 4096, 1 << 16);
+  out_bytes_ = std::clamp<std::uint64_t>(buffer_bytes / 4, 1 << 14, 1 << 20);
+  buffer_points_ = static_cast<std::uint32_t>(per_partition / sizeof(SpillPoint));
+  lease_ = BudgetLease(budget, partitions.size() * (buffer_points_ * sizeof(SpillPoint) + 64) + out_bytes_ + per_partition, "spill buffers");
+  buffers_.resize(partitions.size() * buffer_points_);
+  buffered_.resize(partitions.size());
+  pages_.resize(partitions.size());
   for (const Partition& p : partitions) {
     starts_.push_back(p.begin);
-    regions_.push_back({at, at, at + p.count, 0});
-    at += p.count;
+    left_.push_back(p.count);
+  }
+  first_of_cell_.resize(std::size_t{1} << (3 * kStartLevel));
+  for (std::size_t cell = 0; cell < first_of_cell_.size(); ++cell) {
+    const std::uint64_t begin = static_cast<std::uint64_t>(cell) << (3 * (kMaxLevel - kStartLevel));
+    const auto after = std::upper_bound(starts_.begin(), starts_.end(), begin);
+    first_of_cell_[cell] = static_cast<std::uint32_t>(std::max<std::ptrdiff_t>(1, after - starts_.begin()) - 1);
   }
 }
 
 std::size_t SpillWriter::partition_of(std::uint64_t cells) const {
-  return static_cast<std::size_t>(std::upper_bound(starts_.begin(), starts_.end(), cells) - starts_.begin()) - 1;
+  std::size_t p = first_of_cell_[cells >> (3 * (kMaxLevel - kStartLevel))];
+  while (p + 1 < starts_.size() && starts_[p + 1] <= cells) ++p;
+  return p;
 }
 
-void SpillWriter::append(std::size_t partition, const SpillRecord& record) {
-  Region& r = regions_[partition];
-  if (r.next + r.buffered == r.end) throw Error("an input file changed while it was read: more points than counted before in one region");
-  buffers_[partition * buffer_records_ + r.buffered] = record;
-  if (++r.buffered == buffer_records_) flush(partition);
+void SpillWriter::append(std::size_t partition, const SpillPoint& point) {
+  std::uint32_t& n = buffered_[partition];
+  if (left_[partition] == 0) throw Error("an input file changed while it was read: more points than counted before in one region");
+  --left_[partition];
+  buffers_[partition * buffer_points_ + n] = point;
+  if (++n == buffer_points_) flush(partition);
 }
 
 void SpillWriter::flush(std::size_t partition) {
-  Region& r = regions_[partition];
-  file_.write_at(r.next * sizeof(SpillRecord), &buffers_[partition * buffer_records_], r.buffered * sizeof(SpillRecord));
-  r.next += r.buffered;
-  r.buffered = 0;
+  const std::uint32_t n = buffered_[partition];
+  if (n == 0) return;
+  buffered_[partition] = 0;
+  SpillPoint* const points = &buffers_[partition * buffer_points_];
+  PageHeader h;
+  h.partition = static_cast<std::uint32_t>(partition);
+  h.count = n;
+  const PositionGrid* grid = points[0].grid;
+  if (!std::all_of(points, points + n, [&](const SpillPoint& p) { return p.grid == grid; })) {
+    for (std::uint32_t i = 0; i < n; ++i) {
+      const auto q = place_in_root(root_, points[i].grid, points[i].place);
+      for (std::size_t a = 0; a < 3; ++a) points[i].place[a] = static_cast<std::int64_t>(q[a]);
+    }
+    grid = nullptr;
+  }
+  if (grid) {
+    h.on_grid = 1;
+    for (std::size_t a = 0; a < 3; ++a) {
+      h.scale[a] = grid->scale[static_cast<int>(a)];
+      h.add[a] = grid->add[static_cast<int>(a)];
+    }
+  }
+  const std::size_t begin = out_.size();
+  out_.resize(begin + sizeof h);
+  Values values(n);
+  const auto add_column = [&](std::size_t column, const auto& value) {
+    for (std::uint32_t i = 0; i < n; ++i) values[i] = static_cast<std::int64_t>(value(points[i]));
+    h.columns[column] = header_of(values, column >= kRed && column <= kBlue);
+    pack(values, h.columns[column], out_);
+  };
+  for (std::size_t a = 0; a < 3; ++a) add_column(kX + a, [a](const SpillPoint& p) { return p.place[a]; });
+  add_column(kSource, [](const SpillPoint& p) { return p.source; });
+  for (std::size_t c = 0; c < 3; ++c) add_column(kRed + c, [c](const SpillPoint& p) { return p.colour[c]; });
+  for (std::size_t c = 0; c < 2; ++c) add_column(kNormalU + c, [c](const SpillPoint& p) { return p.normal[c]; });
+  add_column(kHasNormal, [](const SpillPoint& p) { return p.has_normal; });
+  h.bytes = static_cast<std::uint32_t>(out_.size() - begin);
+  std::memcpy(out_.data() + begin, &h, sizeof h);
+  h.crc = crc32c(out_.data() + begin + kCheckedFrom, h.bytes - kCheckedFrom);
+  std::memcpy(out_.data() + begin, &h, sizeof h);
+  pages_[partition].push_back({out_offset_ + begin, h.bytes, n});
+  if (out_.size() >= out_bytes_) write_out();
 }
 
-void SpillWriter::finish() {
-  for (std::size_t p = 0; p < regions_.size(); ++p) {
+void SpillWriter::write_out() {
+  file_.write_at(out_offset_, out_.data(), out_.size());
+  out_offset_ += out_.size();
+  out_.clear();
+}
+
+std::uint64_t SpillWriter::finish() {
+  for (std::size_t p = 0; p < left_.size(); ++p) {
     flush(p);
-    if (regions_[p].next != regions_[p].end)
-      throw Error(concat("an input file changed while it was read: ", regions_[p].end - regions_[p].next, " points fewer than counted before in one region"));
+    if (left_[p] != 0) throw Error(concat("an input file changed while it was read: ", left_[p], " points fewer than counted before in one region"));
   }
+  write_out();
+  return out_offset_;
+}
+
+SpillPages find_pages(const File& file, std::uint64_t end, const std::vector<Partition>& partitions) {
+  SpillPages pages(partitions.size());
+  std::vector<std::uint64_t> points(partitions.size());
+  for (std::uint64_t at = 0; at < end;) {
+    PageHeader h;
+    file.read_at(at, &h, sizeof h);
+    if (!is_plausible(h) || h.partition >= partitions.size() || h.bytes > end - at) damaged(file, at);
+    pages[h.partition].push_back({at, h.bytes, h.count});
+    points[h.partition] += h.count;
+    at += h.bytes;
+  }
+  for (std::size_t p = 0; p < partitions.size(); ++p)
+    if (points[p] != partitions[p].count) throw Error(concat(file.path().string(), ": ", points[p], " points of partition ", p, ", expected ", partitions[p].count));
+  return pages;
+}
+
+void read_page(const File& file, const SpillPage& page, const RootCube& root, std::vector<SpillRecord>& records) {
+  std::vector<std::byte> bytes(page.bytes + 8);
+  file.read_at(page.offset, bytes.data(), page.bytes);
+  PageHeader h;
+  if (page.bytes < sizeof h) damaged(file, page.offset);
+  std::memcpy(&h, bytes.data(), sizeof h);
+  if (!is_plausible(h) || h.bytes != page.bytes || h.count != page.count || h.crc != crc32c(bytes.data() + kCheckedFrom, page.bytes - kCheckedFrom)) damaged(file, page.offset);
+  std::array<Values, kNumColumns> v;
+  const std::byte* at = bytes.data() + sizeof h;
+  for (std::size_t c = 0; c < kNumColumns; ++c) {
+    unpack(at, h.columns[c], h.count, v[c]);
+    at += packed_bytes(h.count, h.columns[c].bits);
+  }
+  const PositionGrid grid{{h.scale[0], h.scale[1], h.scale[2]}, {h.add[0], h.add[1], h.add[2]}};
+  const std::size_t first = records.size();
+  records.resize(first + h.count);
+  for (std::size_t i = 0; i < h.count; ++i) {
+    const auto q = place_in_root(root, h.on_grid ? &grid : nullptr, {v[kX][i], v[kY][i], v[kZ][i]});
+    SpillRecord& r = records[first + i];
+    r.cells = morton_encode(q[0] >> kLocalBits, q[1] >> kLocalBits, q[2] >> kLocalBits);
+    r.local_flags = morton_encode(q[0] & 0xffff, q[1] & 0xffff, q[2] & 0xffff) | (v[kHasNormal][i] ? SpillRecord::kHasNormal : 0);
+    r.source_low = static_cast<std::uint32_t>(v[kSource][i]);
+    r.source_high = static_cast<std::uint8_t>(v[kSource][i] >> 32);
+    r.colour = {static_cast<std::uint16_t>(v[kRed][i]), static_cast<std::uint16_t>(v[kGreen][i]), static_cast<std::uint16_t>(v[kBlue][i])};
+    r.normal = {static_cast<std::int16_t>(v[kNormalU][i]), static_cast<std::int16_t>(v[kNormalV][i])};
+  }
+}
+
+std::uint64_t spill_bytes_per_point(int axis_bits, std::uint64_t points, bool has_colour, bool colour_is_16_bit, bool has_normal) {
+  const int bits = axis_bits + static_cast<int>(std::bit_width(points)) + (has_colour ? colour_is_16_bit ? 48 : 24 : 0) + (has_normal ? 25 : 0);
+  return static_cast<std::uint64_t>((bits + 7) / 8);
 }
 
 std::vector<SpillRecord> sorted_by_key(std::vector<SpillRecord> records) {

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 
+#include "stream/store/near_kernels.h"
+
 namespace chiaro::stream {
 namespace {
 
@@ -13,111 +15,7 @@ using FlatBox = HaloChunk::FlatBox;
 
 // In a random sample of a surface with one point per spacing^2 the sixth neighbour lies at sqrt(6 / pi) spacings.
 constexpr float kSixthInSpacings = 1.3820f;
-constexpr std::size_t kNearest = 6;
 constexpr int kMostGrowth = 3;
-
-// Eight points of a group are worked on at once, one in each lane. A GCC and Clang extension: two halves on processors with 16-byte vectors, one piece with
-// AVX2. Lanes never meet and each adds in the order of the candidates, so that both give the same bits.
-constexpr std::uint32_t kLanes = 8;
-typedef float Lanes __attribute__((vector_size(32)));
-typedef std::int32_t LaneMask __attribute__((vector_size(32)));
-
-#if defined(__x86_64__)
-#define CHIARO_AVX2 __attribute__((target("avx2")))
-const bool kHasAvx2 = __builtin_cpu_supports("avx2");
-#endif
-#define CHIARO_INLINE inline __attribute__((always_inline))
-
-struct EightPoints {
-  std::array<float, kLanes> x, y, z;
-};
-
-struct Nearest {
-  float squared[kNearest][kLanes];
-};
-
-struct CandidateView {
-  const float *x, *y, *z;
-  std::size_t num;
-};
-
-/// Sums over the neighbours within a radius: x y z, xx xy xz yy yz zz, count.
-constexpr std::size_t kTerms = 10;
-
-CHIARO_INLINE void load(const float* from, Lanes& to) { __builtin_memcpy(&to, from, sizeof to); }
-CHIARO_INLINE void store(const Lanes& from, float* to) { __builtin_memcpy(to, &from, sizeof from); }
-
-// Squared distances of the six nearest of each lane, nearest first; what lies on the spot is left out.
-CHIARO_INLINE void nearest_body(const CandidateView& c, const EightPoints& p, Nearest& out) {
-  Lanes px, py, pz, best[kNearest];
-  load(p.x.data(), px);
-  load(p.y.data(), py);
-  load(p.z.data(), pz);
-  const Lanes far = Lanes{} + std::numeric_limits<float>::infinity();
-  for (Lanes& b : best) b = far;
-  for (std::size_t k = 0; k < c.num; ++k) {
-    const Lanes dx = c.x[k] - px, dy = c.y[k] - py, dz = c.z[k] - pz;
-    Lanes d = dx * dx + dy * dy + dz * dz;
-    d = d > Lanes{} ? d : far;
-    for (Lanes& b : best) {
-      const Lanes low = b < d ? b : d;
-      d = b < d ? d : b;
-      b = low;
-    }
-  }
-  for (std::size_t i = 0; i < kNearest; ++i) store(best[i], out.squared[i]);
-}
-
-// Sums over the candidates within each of `num_scales` radii, widest first.
-template <std::size_t num_scales>
-CHIARO_INLINE void moments_body(const CandidateView& c, const EightPoints& p, const float (&limits)[num_scales][kLanes], float (&out)[num_scales][kTerms][kLanes]) {
-  Lanes px, py, pz, limit[num_scales], sums[num_scales][kTerms];
-  load(p.x.data(), px);
-  load(p.y.data(), py);
-  load(p.z.data(), pz);
-  for (std::size_t s = 0; s < num_scales; ++s) {
-    load(limits[s], limit[s]);
-    for (Lanes& sum : sums[s]) sum = Lanes{};
-  }
-  const Lanes one = Lanes{} + 1.0f;
-  for (std::size_t k = 0; k < c.num; ++k) {
-    const Lanes dx = c.x[k] - px, dy = c.y[k] - py, dz = c.z[k] - pz;
-    const Lanes terms[kTerms] = {dx, dy, dz, dx * dx, dx * dy, dx * dz, dy * dy, dy * dz, dz * dz, one};
-    const Lanes d = terms[3] + terms[6] + terms[8];
-    for (std::size_t s = 0; s < num_scales; ++s) {
-      const LaneMask inside = (d <= limit[s]) & (d > Lanes{});
-      std::uint64_t any[4];
-      __builtin_memcpy(any, &inside, sizeof inside);
-      if ((any[0] | any[1] | any[2] | any[3]) == 0) break;  // nor is it within the narrower radii
-      for (std::size_t t = 0; t < kTerms; ++t) sums[s][t] += inside ? terms[t] : Lanes{};
-    }
-  }
-  for (std::size_t s = 0; s < num_scales; ++s)
-    for (std::size_t t = 0; t < kTerms; ++t) store(sums[s][t], out[s][t]);
-}
-
-#if defined(CHIARO_AVX2)
-CHIARO_AVX2 void nearest_avx2(const CandidateView& c, const EightPoints& p, Nearest& out) { nearest_body(c, p, out); }
-template <std::size_t n>
-CHIARO_AVX2 void moments_avx2(const CandidateView& c, const EightPoints& p, const float (&limits)[n][kLanes], float (&out)[n][kTerms][kLanes]) {
-  moments_body(c, p, limits, out);
-}
-#endif
-
-void nearest_of(const CandidateView& c, const EightPoints& p, Nearest& out) {
-#if defined(CHIARO_AVX2)
-  if (kHasAvx2) return nearest_avx2(c, p, out);
-#endif
-  nearest_body(c, p, out);
-}
-
-template <std::size_t n>
-void moments_of(const CandidateView& c, const EightPoints& p, const float (&limits)[n][kLanes], float (&out)[n][kTerms][kLanes]) {
-#if defined(CHIARO_AVX2)
-  if (kHasAvx2) return moments_avx2(c, p, limits, out);
-#endif
-  moments_body(c, p, limits, out);
-}
 
 CandidateView view_of(const Candidates& c) { return {c.x.data(), c.y.data(), c.z.data(), c.num}; }
 
@@ -158,8 +56,9 @@ struct NeighbourList {
   }
 };
 
-/// Goes through a chunk in groups of consecutive points that share a search. Fit answers: fit_lanes() fits up to eight points from the candidates and tells
-/// the radius it used, or 0 for a point that needs the careful search; fit_one() fits one from a complete list, or refuses and gets a larger one.
+/// Goes through a chunk in groups of consecutive points that share a search. Fit answers: fit_nearest() fits a point from a view that holds all points up to a
+/// distance, kNearShare of the usual radius of the neighbourhood, or refuses; fit_near() from a view that holds all its neighbours, with their numbers among
+/// the candidates, or refuses; fit_one() fits one from a complete list, or refuses and gets a larger one.
 template <class Fit>
 class Walker {
  public:
@@ -168,9 +67,14 @@ class Walker {
   void run() {
     guess_ = first_guess();
     for (std::uint32_t begin = 0; begin < own_.size;) {
-      const std::uint32_t end = group_end(begin);
-      run_group(begin, end);
-      begin = end;
+      const std::uint32_t end = run_end(begin, kRun, 8 * guess_, run_box_);
+      run_radius_ = clamped(kRunShare * guess_);
+      around_.gather(run_box_, run_radius_, Fit::kNeedsNormals, of_run_);
+      while (begin < end) {
+        const std::uint32_t group_end = std::min(end, run_end(begin, HaloChunk::kGroup, 3 * guess_, box_));
+        run_group(begin, group_end);
+        begin = group_end;
+      }
     }
   }
 
@@ -178,20 +82,20 @@ class Walker {
   float clamped(float radius) const { return std::clamp(radius, options_.max_radius * 1e-6f, options_.max_radius); }
 
   float first_guess() const {
-    const FlatBox& b = own_.levels.back()[0];
+    const FlatBox& b = own_.bounds;
     float edges[3] = {b.max[0] - b.min[0], b.max[1] - b.min[1], b.max[2] - b.min[2]};
     std::sort(edges, edges + 3);
     const float spacing = std::sqrt(edges[2] * std::max(edges[1], edges[2] * 0.01f) / static_cast<float>(own_.size));
     return clamped(spacing * static_cast<float>(options_.radius_spacings));
   }
 
-  // Consecutive points share one search while they stay within a few search radii.
-  std::uint32_t group_end(std::uint32_t begin) {
-    box_ = {{own_.x[begin], own_.y[begin], own_.z[begin]}, {own_.x[begin], own_.y[begin], own_.z[begin]}};
-    const std::uint32_t last = std::min(own_.size, (begin / HaloChunk::kGroup + 1) * HaloChunk::kGroup);
+  // Consecutive points share one search while they stay within a few search radii: at most `most` of them, up to the next multiple of it.
+  std::uint32_t run_end(std::uint32_t begin, std::uint32_t most, float most_extent, FlatBox& box) const {
+    box = {{own_.x[begin], own_.y[begin], own_.z[begin]}, {own_.x[begin], own_.y[begin], own_.z[begin]}};
+    const std::uint32_t last = std::min(own_.size, (begin / most + 1) * most);
     std::uint32_t end = begin + 1;
     for (; end < last; ++end) {
-      FlatBox grown = box_;
+      FlatBox grown = box;
       const float p[3] = {own_.x[end], own_.y[end], own_.z[end]};
       float extent = 0;
       for (std::size_t a = 0; a < 3; ++a) {
@@ -199,49 +103,78 @@ class Walker {
         grown.max[a] = std::max(grown.max[a], p[a]);
         extent = std::max(extent, grown.max[a] - grown.min[a]);
       }
-      if (extent > 3 * guess_) break;
-      box_ = grown;
+      if (extent > most_extent) break;
+      box = grown;
     }
     return end;
   }
 
-  void run_group(std::uint32_t begin, std::uint32_t end) {
-    around_.gather(box_, guess_, candidates_);
-    float sum = 0;
-    for (std::uint32_t first = begin; first < end; first += kLanes) {
-      const std::uint32_t count = std::min(kLanes, end - first);
-      EightPoints p;
-      for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
-        const std::uint32_t i = first + std::min(lane, count - 1);
-        p.x[lane] = own_.x[i];
-        p.y[lane] = own_.y[i];
-        p.z[lane] = own_.z[i];
-      }
-      Nearest nearest;
-      nearest_of(view_of(candidates_), p, nearest);
-      const float* sixth = nearest.squared[kNearest - 1];
-      std::array<float, kLanes> wanted;
-      for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
-        wanted[lane] = std::sqrt(sixth[lane]) / kSixthInSpacings * static_cast<float>(options_.radius_spacings);
-        if (lane >= count || !(wanted[lane] <= guess_) || !(sixth[lane] <= guess_ * guess_)) wanted[lane] = 0;
-      }
-      fit_.fit_lanes(first, p, nearest, candidates_, wanted);
-      for (std::uint32_t lane = 0; lane < count; ++lane) sum += wanted[lane] > 0 ? wanted[lane] : search_carefully(first + lane, std::sqrt(sixth[lane]));
+  // All points within the radius of the group's box, from those around the run where these reach as far; and what their numbers count.
+  CandidateView near_group(float radius, const Candidates*& numbered) {
+    if (radius <= run_radius_) {
+      select_near_box(view_of(of_run_), box_.min, box_.max, radius * radius, selection_);
+      numbered = &of_run_;
+      return selection_.view();
     }
-    // The next group is probably as dense as this one.
-    guess_ = clamped(1.35f * sum / static_cast<float>(end - begin));
+    around_.gather(box_, radius, Fit::kNeedsNormals, of_group_);
+    numbered = &of_group_;
+    return view_of(of_group_);
   }
 
-  // The search radius grows until the wanted neighbours are certain. Returns that radius.
-  float search_carefully(std::uint32_t i, float sixth) {
+  // First the six nearest, which say how far each point looks; then the points within the largest of these distances, for the whole group.
+  void run_group(std::uint32_t begin, std::uint32_t end) {
+    const float near = Fit::kNearShare * guess_;
+    const Candidates* numbered = nullptr;
+    CandidateView view = near_group(near, numbered);
+    std::array<Nearest, HaloChunk::kGroup / kLanes> nearest;
+    std::array<float, HaloChunk::kGroup> wanted{};
+    std::array<std::array<float, kNearest>, HaloChunk::kGroup> squared;
+    std::array<bool, HaloChunk::kGroup> fitted{};
+    float most = 0, sum = 0;
+    for (std::uint32_t first = begin; first < end; first += kLanes) {
+      Nearest& n = nearest[(first - begin) / kLanes];
+      nearest_of(view, eight_points(first, end), n);
+      for (std::uint32_t i = first; i < std::min(end, first + kLanes); ++i) {
+        const std::uint32_t at = i - begin;
+        for (std::size_t k = 0; k < kNearest; ++k) squared[at][k] = n.squared[k][i - first];
+        const float sixth = squared[at][kNearest - 1];
+        const float radius = std::sqrt(sixth) / kSixthInSpacings * static_cast<float>(options_.radius_spacings);
+        if (!(sixth <= near * near) || !(radius <= options_.max_radius)) continue;
+        wanted[at] = radius;
+        fitted[at] = fit_.fit_nearest(i, squared[at], view, *numbered, radius, near);
+        if (!fitted[at]) most = std::max(most, radius);
+      }
+    }
+    if (most > 0) view = near_group(most, numbered);
+    for (std::uint32_t i = begin; i < end; ++i) {
+      const std::uint32_t at = i - begin;
+      float& radius = wanted[at];
+      if (!fitted[at] && (radius == 0 || !fit_.fit_near(i, squared[at], view, *numbered, radius))) radius = search_carefully(i, std::sqrt(squared[at][kNearest - 1]), near);
+      sum += radius;
+    }
+    guess_ = clamped(sum / static_cast<float>(end - begin));  // the next group is probably as dense as this one
+  }
+
+  EightPoints eight_points(std::uint32_t first, std::uint32_t end) const {
+    EightPoints p;
+    for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
+      const std::uint32_t i = std::min(first + lane, end - 1);
+      p.x[lane] = own_.x[i];
+      p.y[lane] = own_.y[i];
+      p.z[lane] = own_.z[i];
+    }
+    return p;
+  }
+
+  // The search radius grows until the wanted neighbours are certain. Returns that radius. sixth: distance of the sixth neighbour if that is within `near`.
+  float search_carefully(std::uint32_t i, float sixth, float near) {
     const FlatBox box{{own_.x[i], own_.y[i], own_.z[i]}, {own_.x[i], own_.y[i], own_.z[i]}};
-    float radius = guess_;
-    if (sixth <= guess_) radius = 1.001f * sixth / kSixthInSpacings * static_cast<float>(options_.radius_spacings);
-    else radius = 2 * guess_;
+    float radius = 2 * guess_;
+    if (sixth <= near) radius = 1.001f * sixth / kSixthInSpacings * static_cast<float>(options_.radius_spacings);
     for (int growth = 0;;) {
       radius = std::min(radius, options_.max_radius);
       const bool at_limit = radius >= options_.max_radius;
-      around_.gather(box, radius, single_);
+      around_.gather(box, radius, Fit::kNeedsNormals, single_);
       collect(i, radius);
       if (near_.size() < kNearest && !at_limit) {
         radius *= 2;
@@ -293,9 +226,12 @@ class Walker {
   const HaloChunk& own_;
   const FitOptions& options_;
   Fit& fit_;
-  float guess_ = 0;
-  FlatBox box_{};
-  Candidates candidates_, single_;
+  static constexpr std::uint32_t kRun = 128;     // points that share a search in the leaves; groups then search in what it found
+  static constexpr float kRunShare = 1.4f;
+  float guess_ = 0, run_radius_ = 0;
+  FlatBox run_box_{}, box_{};
+  Candidates of_run_, of_group_, single_;
+  Selection selection_;
   std::vector<std::pair<float, std::uint32_t>> near_;
   NeighbourList list_;
 };
@@ -306,24 +242,10 @@ Vec3f across(const Vec3f& v) {
   return v.cross(axis).normalized();
 }
 
-using Moments = std::array<double, kTerms>;
-
-// Floats lose a millionth, but products of two need care where the plane is thin: at worst some 0.001 degrees.
-struct NormalAnswer {
-  NormalFit fit;
-  bool line = false;
-  double variance_off_plane = 0;   ///< with the plane's three degrees of freedom taken off
-};
-
-/// Eigenvalues of a symmetric matrix of trace 1 that has none below zero, smallest first, and the axis of the smallest.
-struct Principal {
-  Vec3d values;
-  Vec3d axis;
-};
-
-// The smallest root of the characteristic polynomial by Newton's method: the polynomial rises and is concave up to it, so steps from 0 never pass it.
-// Much faster than a general solver; where two roots fall together the axis is not defined well and the general solver decides.
-Principal principal_of(const Mat3d& a) {
+/// Eigenvalues of a symmetric matrix of trace 1 that has none below zero, smallest first.
+///
+/// The smallest root of the characteristic polynomial by Newton's method: the polynomial rises and is concave up to it, so steps from 0 never pass it.
+Vec3d eigenvalues_of(const Mat3d& a) {
   const double c1 = a(0, 0) * a(1, 1) - a(0, 1) * a(0, 1) + a(0, 0) * a(2, 2) - a(0, 2) * a(0, 2) + a(1, 1) * a(2, 2) - a(1, 2) * a(1, 2);
   const double c0 = a.determinant();
   double root = 0;
@@ -332,57 +254,68 @@ Principal principal_of(const Mat3d& a) {
     if (!(slope > 1e-12)) break;
     const double step = (c0 - root * (c1 + root * (root - 1))) / slope;
     root += step;
-    if (!(step > 1e-15)) break;
+    if (!(step > 1e-5 * root)) break;  // the next one would be about the square of it
   }
-  Principal p;
-  p.values[0] = std::max(0.0, root);
   const double sum = 1 - root, product = std::max(0.0, c1 - root * sum);
-  p.values[2] = 0.5 * (sum + std::sqrt(std::max(0.0, sum * sum - 4 * product)));
-  p.values[1] = product / p.values[2];
+  const double largest = 0.5 * (sum + std::sqrt(std::max(0.0, sum * sum - 4 * product)));
+  return {root, product / largest, largest};
+}
+
+// Much faster than a general solver; where two roots fall together the axis is not defined well and the general solver decides.
+Vec3d smallest_axis_of(const Mat3d& a, double root) {
   Mat3d b = a;
   for (int i = 0; i < 3; ++i) b(i, i) -= root;
   const Vec3d crosses[3] = {b.col(0).cross(b.col(1)), b.col(0).cross(b.col(2)), b.col(1).cross(b.col(2))};
   const double norms[3] = {crosses[0].squaredNorm(), crosses[1].squaredNorm(), crosses[2].squaredNorm()};
   const std::size_t best = norms[0] >= norms[1] ? (norms[0] >= norms[2] ? 0 : 2) : (norms[1] >= norms[2] ? 1 : 2);
-  if (norms[best] > 1e-14) {
-    p.axis = crosses[best] / std::sqrt(norms[best]);
-    return p;
-  }
-  Eigen::SelfAdjointEigenSolver<Mat3d> solver(a);
-  return {solver.eigenvalues(), solver.eigenvectors().col(0)};
+  if (norms[best] > 1e-14) return crosses[best] / std::sqrt(norms[best]);
+  return Eigen::SelfAdjointEigenSolver<Mat3d>(a).eigenvectors().col(0);
 }
 
-NormalAnswer normal_from(const Moments& sums) {
-  NormalAnswer answer;
+/// The plane through neighbours and point, as far as its fit must be known to be judged.
+struct Plane {
+  bool isolated = true;            ///< fewer than 3 neighbours, or all on a line
+  bool line = false;
+  double variance_off = 0;         ///< with the plane's three degrees of freedom taken off
+  double scale = 0;
+  Mat3d covariance;                ///< over scale
+  Vec3d values, mean;
+};
+
+Plane plane_of(const Moments& sums) {
+  Plane plane;
   const double n = sums[9];
-  if (n < 3) {
-    answer.fit.isolated = true;
-    return answer;
-  }
+  if (n < 3) return plane;
   std::array<double, 9> m;
-  for (std::size_t i = 0; i < 9; ++i) m[i] = sums[i] / (n + 1);  // the point itself is the origin
-  Mat3d covariance;
-  covariance << m[3] - m[0] * m[0], m[4] - m[0] * m[1], m[5] - m[0] * m[2],
-                m[4] - m[0] * m[1], m[6] - m[1] * m[1], m[7] - m[1] * m[2],
-                m[5] - m[0] * m[2], m[7] - m[1] * m[2], m[8] - m[2] * m[2];
-  const double scale = covariance.trace();
-  if (!(scale > 0)) {
-    answer.fit.isolated = true;
-    return answer;
+  const double share = 1 / (n + 1);  // the point itself is the origin
+  for (std::size_t i = 0; i < 9; ++i) m[i] = sums[i] * share;
+  plane.covariance << m[3] - m[0] * m[0], m[4] - m[0] * m[1], m[5] - m[0] * m[2],
+                      m[4] - m[0] * m[1], m[6] - m[1] * m[1], m[7] - m[1] * m[2],
+                      m[5] - m[0] * m[2], m[7] - m[1] * m[2], m[8] - m[2] * m[2];
+  plane.scale = plane.covariance.trace();
+  if (!(plane.scale > 0)) return plane;
+  plane.covariance *= 1 / plane.scale;
+  plane.mean = {m[0], m[1], m[2]};
+  plane.values = eigenvalues_of(plane.covariance);
+  plane.line = plane.values[1] < 0.01 * plane.values[2];
+  plane.isolated = plane.values[1] < 1e-4 * plane.values[2];
+  plane.variance_off = std::max(0.0, plane.values[0]) * plane.scale * (n + 1) / std::max(1.0, n - 2);
+  return plane;
+}
+
+NormalFit normal_of(const Plane& plane) {
+  NormalFit fit;
+  fit.isolated = plane.isolated;
+  if (!(plane.scale > 0)) return fit;
+  if (plane.isolated) {
+    fit.normal = across(Eigen::SelfAdjointEigenSolver<Mat3d>(plane.covariance).eigenvectors().col(2).cast<float>());
+    return fit;
   }
-  const auto [values, normal] = principal_of(covariance / scale);
-  answer.line = values[1] < 0.01 * values[2];
-  if (values[1] < 1e-4 * values[2]) {
-    answer.fit.isolated = true;
-    Eigen::SelfAdjointEigenSolver<Mat3d> solver(covariance / scale);
-    answer.fit.normal = across(solver.eigenvectors().col(2).cast<float>());
-    return answer;
-  }
-  answer.variance_off_plane = std::max(0.0, values[0]) * scale * (n + 1) / std::max(1.0, n - 2);
-  const double outwards = -normal.dot(Vec3d(m[0], m[1], m[2]));
-  const bool flip = std::abs(outwards) > 1e-9 * std::sqrt(scale) ? outwards < 0 : normal.z() < 0;
-  answer.fit.normal = (flip ? -normal : normal).normalized().cast<float>();
-  return answer;
+  const Vec3d normal = smallest_axis_of(plane.covariance, plane.values[0]);
+  const double outwards = -normal.dot(plane.mean);
+  const bool flip = std::abs(outwards) > 1e-9 * std::sqrt(plane.scale) ? outwards < 0 : normal.z() < 0;
+  fit.normal = (flip ? -normal : normal).normalized().cast<float>();
+  return fit;
 }
 
 /// Normals are fitted at three nested radii. The widest one that still fits a plane as well as the narrowest does is taken: wide on flat ground, where it
@@ -393,60 +326,64 @@ constexpr float kScaleOfRadius[kScales] = {1.0f, 0.74f, 0.57f};
 constexpr double kPlaneGrowth = 1.35;   // residual of the wider plane over the narrowest one's that sampling alone explains
 constexpr double kEnoughForPlane = 6;
 
-NormalAnswer normal_of_scales(const std::array<Moments, kScales>& scales) {
-  std::size_t narrowest = kScales - 1;
-  while (narrowest > 0 && scales[narrowest][9] < kEnoughForPlane) --narrowest;
-  if (narrowest == 0) return normal_from(scales[0]);
-  NormalAnswer best = normal_from(scales[narrowest]);
-  if (best.line || best.fit.isolated) return normal_from(scales[0]);
-  const double limit = kPlaneGrowth * kPlaneGrowth * best.variance_off_plane;
-  for (std::size_t s = narrowest; s-- > 0;) {
-    const NormalAnswer wider = normal_from(scales[s]);
-    if (wider.line || wider.fit.isolated || wider.variance_off_plane > limit) break;
-    best = wider;
+/// The moments at each of the scales; only those that are asked for are summed. Floats lose a millionth, but products of two need care where the plane is
+/// thin: at worst some 0.001 degrees.
+template <class MomentsAt>
+Plane plane_of_scales(const MomentsAt& moments_at) {
+  std::size_t narrowest = kScales;
+  Moments m;
+  do m = moments_at(--narrowest);
+  while (narrowest > 0 && m[9] < kEnoughForPlane);
+  Plane best = plane_of(m);
+  if (narrowest == 0) return best;
+  if (best.line || best.isolated) return plane_of(moments_at(0));
+  const double limit = kPlaneGrowth * kPlaneGrowth * best.variance_off;
+  for (std::size_t s = 0; s < narrowest; ++s) {  // the widest first: on flat ground it is the answer
+    const Plane wider = plane_of(moments_at(s));
+    if (!wider.line && !wider.isolated && wider.variance_off <= limit) return wider;
   }
   return best;
 }
 
 class NormalFitter {
  public:
-  NormalFitter(const FitOptions& options, std::vector<NormalFit>& fits) : options_(options), fits_(fits) {}
+  static constexpr bool kNeedsNormals = false;
+  // The sixth neighbour is at 0.39 of the radius; this finds it for all but few points whose surroundings are sparser than the mean.
+  static constexpr float kNearShare = 0.6f;
+  NormalFitter(const HaloChunk& own, const FitOptions& options, std::vector<NormalFit>& fits) : own_(own), options_(options), fits_(fits) {}
 
-  void fit_lanes(std::uint32_t first, const EightPoints& p, const Nearest&, const Candidates& c, std::array<float, kLanes>& wanted) {
-    float limits[kScales][kLanes], sums[kScales][kTerms][kLanes];
-    for (std::size_t s = 0; s < kScales; ++s)
-      for (std::uint32_t lane = 0; lane < kLanes; ++lane) limits[s][lane] = wanted[lane] * wanted[lane] * kScaleOfRadius[s] * kScaleOfRadius[s];
-    moments_of(view_of(c), p, limits, sums);
-    for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
-      if (wanted[lane] == 0) continue;
-      std::array<Moments, kScales> m;
-      for (std::size_t s = 0; s < kScales; ++s)
-        for (std::size_t t = 0; t < kTerms; ++t) m[s][t] = static_cast<double>(sums[s][t][lane]);
-      const NormalAnswer answer = normal_of_scales(m);
-      if (answer.line || m[0][9] > static_cast<double>(options_.most)) wanted[lane] = 0;
-      else fits_[first + lane] = answer.fit;
-    }
+  bool fit_nearest(std::uint32_t, const std::array<float, kNearest>&, const CandidateView&, const Candidates&, float, float) { return false; }
+
+  bool fit_near(std::uint32_t i, const std::array<float, kNearest>&, const CandidateView& view, const Candidates&, float radius) {
+    collect_within(view, own_.x[i], own_.y[i], own_.z[i], radius * radius, row_);
+    if (row_.num > options_.most) return false;
+    const Plane plane = plane_of_scales([&](std::size_t s) { return moments_within(row_, radius * radius * kScaleOfRadius[s] * kScaleOfRadius[s]); });
+    if (plane.line) return false;
+    fits_[i] = normal_of(plane);
+    return true;
   }
 
   bool fit_one(std::uint32_t i, const NeighbourList& list, const Candidates&, bool last) {
-    std::array<Moments, kScales> m{};
-    for (std::size_t k = 0; k < list.size(); ++k) {
-      const double x = static_cast<double>(list.x[k]), y = static_cast<double>(list.y[k]), z = static_cast<double>(list.z[k]);
-      const double terms[10] = {x, y, z, x * x, x * y, x * z, y * y, y * z, z * z, 1};
-      for (std::size_t s = 0; s < kScales; ++s) {
+    const Plane plane = plane_of_scales([&](std::size_t s) {
+      Moments m{};
+      for (std::size_t k = 0; k < list.size(); ++k) {
+        const double x = static_cast<double>(list.x[k]), y = static_cast<double>(list.y[k]), z = static_cast<double>(list.z[k]);
+        const double terms[10] = {x, y, z, x * x, x * y, x * z, y * y, y * z, z * z, 1};
         if (list.distance_squared[k] > list.radius * list.radius * kScaleOfRadius[s] * kScaleOfRadius[s] && s > 0) continue;
-        for (std::size_t t = 0; t < 10; ++t) m[s][t] += terms[t];
+        for (std::size_t t = 0; t < 10; ++t) m[t] += terms[t];
       }
-    }
-    const NormalAnswer answer = normal_of_scales(m);
-    if (answer.line && !last) return false;
-    fits_[i] = answer.fit;
+      return m;
+    });
+    if (plane.line && !last) return false;
+    fits_[i] = normal_of(plane);
     return true;
   }
 
  private:
+  const HaloChunk& own_;
   const FitOptions& options_;
   std::vector<NormalFit>& fits_;
+  NeighbourRow row_;
 };
 
 // A convex polygon around the origin of the tangent plane, clipped by half-planes. Fixed room: each cut adds at most one corner.
@@ -526,13 +463,22 @@ class RadiusFitter {
  public:
   RadiusFitter(const HaloChunk& own, const FitOptions& options, std::vector<RadiusFit>& fits) : own_(own), options_(options), fits_(fits) {}
 
-  void fit_lanes(std::uint32_t first, const EightPoints& p, const Nearest& nearest, const Candidates& c, std::array<float, kLanes>& wanted) {
-    for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
-      if (wanted[lane] == 0) continue;
-      for (std::size_t k = 0; k < kNearest; ++k) list_.nearest_squared[k] = nearest.squared[k][lane];
-      collect(c, p.x[lane], p.y[lane], p.z[lane], wanted[lane]);
-      if (list_.total > options_.most || !fit_one(first + lane, list_, c, false)) wanted[lane] = 0;
-    }
+  static constexpr bool kNeedsNormals = true;
+  static constexpr float kNearShare = 0.72f;
+
+  // The nearest half of the neighbours settles most cells: what is further than twice the farthest corner cuts nothing.
+  bool fit_nearest(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const CandidateView& view, const Candidates& c, float radius, float near) {
+    const float reach = std::min(near, kNearShare * radius);
+    collect_within(view, own_.x[i], own_.y[i], own_.z[i], reach * reach, row_);
+    return row_.num <= options_.most / 2 && fit_inside(i, nearest_squared, c, radius, reach);
+  }
+
+  bool fit_near(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const CandidateView& view, const Candidates& c, float radius) {
+    collect_within(view, own_.x[i], own_.y[i], own_.z[i], radius * radius, row_);
+    if (row_.num > options_.most) return false;
+    if (fit_inside(i, nearest_squared, c, radius, kAllNeighbours)) return true;
+    make_list(nearest_squared, radius);
+    return fit_one(i, list_, c, false);
   }
 
   bool fit_one(std::uint32_t i, const NeighbourList& list, const Candidates& c, bool last) {
@@ -548,49 +494,106 @@ class RadiusFitter {
   }
 
  private:
+  static constexpr float kEdgeReach = 2.2f, kOtherFace = 0.82f;
+  static constexpr float kAllNeighbours = 1e30f;
+
   // Near an evenly sampled surface the search finds pi * spacings^2 points. An outlier finds many more, all on one side of it.
   bool is_outlier(std::uint32_t i, const NeighbourList& list) const {
     constexpr double kCrowded = 4 * 3.14159;
     if (static_cast<double>(list.total) < kCrowded * options_.radius_spacings * options_.radius_spacings) return false;
-    const Vec3f normal = decode_normal(own_.normal[i][0], own_.normal[i][1]);
+    const Vec3f normal = own_normal(i);
     float height = 0;
     for (std::size_t k = 0; k < list.size(); ++k) height += normal.dot(list.offset(k));
     height /= static_cast<float>(list.size());
     return height * height > 0.1f * list.nearest_squared[kNearest - 1];
   }
 
-  void collect(const Candidates& c, float px, float py, float pz, float radius) {
-    const std::size_t n = c.num;
-    if (distance_.size() < n) {
-      distance_.resize(n);
-      index_.resize(n);
+  // What nearly all points are: amid a smooth surface, their cell closed by neighbours on all sides. False for all others, and if the neighbours within
+  // `reach`, which are in the row, do not tell.
+  bool fit_inside(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const Candidates& c, float radius, float reach) {
+    if ((own_.flags[i] & SurfelBlock::kIsolated) || row_.num < kNearest) return false;
+    const float mean = mean_distance(nearest_squared);
+    if (kEdgeReach * mean > reach) return false;
+    const float scale = std::max(mean, radius < options_.max_radius ? radius / static_cast<float>(options_.radius_spacings) : 0.0f);
+    const Vec3f normal(own_.nx[i], own_.ny[i], own_.nz[i]), u = across(normal), v = normal.cross(u);
+    TangentFrame frame{{normal.x(), normal.y(), normal.z()}, {u.x(), u.y(), u.z()}, {v.x(), v.y(), v.z()}, (own_.flags[i] & SurfelBlock::kOriented) != 0, kEdgeReach * mean, kOtherFace};
+    normals_.take(c.nx.data(), c.ny.data(), c.nz.data(), c.flags.data(), row_);
+    if (!lines_.make(row_, normals_, frame)) return false;  // an edge is near
+    const float half = 3 * scale;
+    bool open = false;
+    const float within = farthest_corner(half, scale, reach, open);
+    if (!(within > 0)) return false;
+    if (open) {
+      make_list(nearest_squared, radius);
+      if (is_line(list_)) return false;
     }
-    float* d = distance_.data();
-    const float *cx = c.x.data(), *cy = c.y.data(), *cz = c.z.data();
-    for (std::size_t k = 0; k < n; ++k) {
-      const float dx = cx[k] - px, dy = cy[k] - py, dz = cz[k] - pz;
-      d[k] = dx * dx + dy * dy + dz * dz;
+    fits_[i] = RadiusFit{};
+    fits_[i].mean_of_nearest = mean;
+    fits_[i].radius = disc_radius(within, scale, open);
+    return true;
+  }
+
+  static float disc_radius(float within, float scale, bool open) {
+    if (!open) return std::min(1.1f * within, 3 * scale);
+    return std::clamp(1.1f * within, 0.75f * scale, std::max(1.1f * within, scale));
+  }
+
+  struct CellCorner {
+    float ax, ay, bx, by;  // the lines that meet here, counter-clockwise
+    float x, y, distance_squared;
+    CellCorner(float ax_, float ay_, float bx_, float by_) : ax(ax_), ay(ay_), bx(bx_), by(by_) {
+      const float cross = ax * by - ay * bx;
+      x = (by - ay) / cross;
+      y = (ax - bx) / cross;
+      distance_squared = cross > 0 ? x * x + y * y : std::numeric_limits<float>::infinity();
     }
-    const float limit = radius * radius;
-    std::uint32_t* index = index_.data();
-    std::size_t m = 0;
-    for (std::size_t k = 0; k < n; ++k) {
-      index[m] = static_cast<std::uint32_t>(k);
-      m += d[k] <= limit;
+  };
+
+  // Distance of the farthest corner of the Voronoi cell in the tangent plane, of those that lie inside the surface; open: there are others. 0 if the cell is not
+  // closed by neighbours, or cannot be told from those within `reach`. Eight lines make a cell that is too large; its corners are cut, the farthest first,
+  // until those that matter are right.
+  float farthest_corner(float half, float scale, float reach, bool& open) {
+    const EightLines lines = nearest_lines(lines_.wx.data(), lines_.wy.data(), row_.num, half);
+    corners_.clear();
+    for (std::size_t k = 0; k < 8; ++k)
+      if (lines.x[k] != lines.x[k + 1] || lines.y[k] != lines.y[k + 1]) corners_.emplace_back(lines.x[k], lines.y[k], lines.x[k + 1], lines.y[k + 1]);
+    float within = 0;
+    while (!corners_.empty()) {
+      const auto farthest = std::max_element(corners_.begin(), corners_.end(), [](const CellCorner& a, const CellCorner& b) { return a.distance_squared < b.distance_squared; });
+      const CellCorner corner = *farthest;
+      if (!std::isfinite(corner.distance_squared)) return 0;
+      if (within > 0 && corner.distance_squared <= scale * scale) break;
+      const std::size_t cut = line_before(lines_.wx.data(), lines_.wy.data(), row_.num, corner.x, corner.y);
+      if (cut < row_.num) {
+        const float wx = lines_.wx[cut], wy = lines_.wy[cut];
+        *farthest = CellCorner(corner.ax, corner.ay, wx, wy);
+        corners_.emplace_back(wx, wy, corner.bx, corner.by);
+        if (corners_.size() > 64) return 0;
+        continue;
+      }
+      if (std::max(std::abs(corner.x), std::abs(corner.y)) >= 0.9999f * half) return 0;
+      const float d = std::sqrt(corner.distance_squared);
+      if (2 * d > reach) return 0;
+      if (d <= scale || lines_.is_beyond(corner.x / d, corner.y / d, d, row_.num)) within = std::max(within, d);
+      else if (reach < kAllNeighbours) return 0;
+      else open = true;
+      *farthest = corners_.back();
+      corners_.pop_back();
     }
-    // The nearest first: they settle most of the cell.
-    list_.resize(m + 1);
-    const float near = list_.nearest_squared[kNearest - 1];
+    return within;
+  }
+
+  // The nearest first: they settle most of the cell.
+  void make_list(const std::array<float, kNearest>& nearest_squared, float radius) {
+    list_.nearest_squared = nearest_squared;
+    list_.resize(row_.num);
+    const float near = nearest_squared[kNearest - 1];
     std::size_t at = 0;
     for (const bool first : {true, false})
-      for (std::size_t k = 0; k < m; ++k) {
-        const std::uint32_t j = index[k];
-        list_.set(at, cx[j] - px, cy[j] - py, cz[j] - pz, d[j], j);
-        at += static_cast<std::size_t>((d[j] <= near) == first) & static_cast<std::size_t>(d[j] > 0);
-      }
-    list_.resize(at);
+      for (std::size_t k = 0; k < row_.num; ++k)
+        if ((row_.distance_squared[k] <= near) == first) list_.set(at++, row_.x[k], row_.y[k], row_.z[k], row_.distance_squared[k], row_.candidate[k]);
     list_.radius = radius;
-    list_.total = at;
+    list_.total = row_.num;
   }
 
   // Off the line through the point and its farthest neighbour nothing lies further than a 16th of the length.
@@ -610,7 +613,7 @@ class RadiusFitter {
     bool holds(const Vec3f& offset, float distance_squared, std::uint32_t j, const Candidates& c) const {
       const float height = normal.dot(offset);
       if (4 * height * height > distance_squared) return false;
-      const float cosine = normal.dot(decode_normal(c.normal[j][0], c.normal[j][1]));
+      const float cosine = normal.dot(Vec3f(c.nx[j], c.ny[j], c.nz[j]));
       return (oriented && (c.flags[j] & SurfelBlock::kOriented) ? cosine : std::abs(cosine)) >= 0.5f;
     }
   };
@@ -618,9 +621,9 @@ class RadiusFitter {
   // The nearest other face: the plane through those neighbours, within kEdgeReach mean distances, whose normals agree with the nearest one's that is turned
   // away from the point's. The disc ends where it meets that plane, unless its own face goes on behind it.
   void clip_at_edge(std::uint32_t i, const NeighbourList& list, const Candidates& c) {
-    constexpr float kEdgeReach = 2.2f, kOtherFace = 0.82f, kSameFace = 0.9f, kBehind = 0.6f, kMargin = 0.1f;
+    constexpr float kSameFace = 0.9f, kBehind = 0.6f, kMargin = 0.1f;
     const float mean = fits_[i].mean_of_nearest;
-    const Vec3f normal = decode_normal(own_.normal[i][0], own_.normal[i][1]);
+    const Vec3f normal = own_normal(i);
     const float reach = kEdgeReach * mean, reach2 = reach * reach;
     std::size_t nearest = list.size();
     for (std::size_t k = 0; k < list.size(); ++k) {
@@ -663,9 +666,11 @@ class RadiusFitter {
     fits_[i].clip_distance = std::max(0.0f, distance) + kMargin * mean;
   }
 
+  Vec3f own_normal(std::uint32_t i) const { return {own_.nx[i], own_.ny[i], own_.nz[i]}; }
+
   static Vec3f normal_of(const NeighbourList& list, std::size_t k, const Candidates& c) {
     const std::uint32_t j = list.candidate[k];
-    return decode_normal(c.normal[j][0], c.normal[j][1]);
+    return {c.nx[j], c.ny[j], c.nz[j]};
   }
 
   float fit(std::uint32_t i, const NeighbourList& list, const Candidates& c) {
@@ -674,7 +679,7 @@ class RadiusFitter {
     if (list.size() < 3 || (own_.flags[i] & SurfelBlock::kIsolated)) return std::min(mean, options_.lone_radius);
     // Along scan lines the nearest are much closer than the next line: the search radius knows.
     const float scale = std::max(mean, list.radius < options_.max_radius ? list.radius / static_cast<float>(options_.radius_spacings) : 0.0f);
-    const Face face{decode_normal(own_.normal[i][0], own_.normal[i][1]), (own_.flags[i] & SurfelBlock::kOriented) != 0};
+    const Face face{own_normal(i), (own_.flags[i] & SurfelBlock::kOriented) != 0};
     project(face, list);
     TangentCell cell = cell_of(face, list, c, scale, false);
     if (!cell.bounded() && few_on_face(face, list, c)) cell = cell_of(face, list, c, scale, true);
@@ -691,8 +696,7 @@ class RadiusFitter {
       if (d <= scale || on_edge || is_inside(x / d, y / d, d)) within = std::max(within, d);
       else open = true;
     });
-    if (!open) return std::min(1.1f * within, 3 * scale);
-    return std::clamp(1.1f * within, 0.75f * scale, std::max(1.1f * within, scale));
+    return disc_radius(within, scale, open);
   }
 
   // A corner of the cell is inside the surface if points lie beyond it. On a border the half-way lines of the outermost points meet far outside, where
@@ -741,16 +745,19 @@ class RadiusFitter {
   const HaloChunk& own_;
   const FitOptions& options_;
   std::vector<RadiusFit>& fits_;
+  NeighbourRow row_;
+  NeighbourNormals normals_;
+  TangentLines lines_;
+  std::vector<CellCorner> corners_;
   NeighbourList list_;
-  std::vector<float> distance_, tangent_u_, tangent_v_;
-  std::vector<std::uint32_t> index_;
+  std::vector<float> tangent_u_, tangent_v_;
 };
 
 }  // namespace
 
 void fit_normals_of(Neighbourhood& around, const FitOptions& options, std::vector<NormalFit>& fits) {
   fits.assign(around.own().size, {});
-  NormalFitter fitter(options, fits);
+  NormalFitter fitter(around.own(), options, fits);
   Walker<NormalFitter>(around, options, fitter).run();
 }
 
@@ -758,6 +765,17 @@ void fit_radii_of(Neighbourhood& around, const FitOptions& options, std::vector<
   fits.assign(around.own().size, {});
   RadiusFitter fitter(around.own(), options, fits);
   Walker<RadiusFitter>(around, options, fitter).run();
+}
+
+Vec3f plane_normal(const SurfelBlock& b, std::size_t count) {
+  Moments m{};
+  m[9] = static_cast<double>(count) - 1;
+  for (std::size_t i = 1; i < count; ++i) {
+    const double x = b.x[i] - b.x[0], y = b.y[i] - b.y[0], z = b.z[i] - b.z[0];
+    const double terms[9] = {x, y, z, x * x, x * y, x * z, y * y, y * z, z * z};
+    for (std::size_t t = 0; t < 9; ++t) m[t] += terms[t];
+  }
+  return normal_of(plane_of(m)).normal;
 }
 
 }  // namespace chiaro::stream

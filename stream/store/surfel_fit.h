@@ -42,4 +42,7 @@ void fit_normals_of(Neighbourhood& around, const FitOptions& options, std::vecto
 /// Points on a border, whose cell is open, get at most 1 and others at most 3 mean distances of their nearest; outliers no more than lone_radius.
 void fit_radii_of(Neighbourhood& around, const FitOptions& options, std::vector<RadiusFit>& fits);
 
+/// Normal of the plane through the first `count` points of a block; +z for fewer than four.
+Vec3f plane_normal(const SurfelBlock& block, std::size_t count);
+
 }  // namespace chiaro::stream

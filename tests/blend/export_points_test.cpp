@@ -383,5 +383,101 @@ TEST_F(ExportPoints, LasAndPcdHoldTheSamePointsAndCarryTheAlbedo) {
   }
 }
 
+struct WholeCloud {
+  stream::PointSchema schema;
+  stream::PointBlock points;
+};
+
+/// All usable points.
+WholeCloud read_cloud(const std::filesystem::path& path) {
+  const auto reader = stream::open_points(path);
+  WholeCloud cloud{reader->schema(), {}};
+  const std::size_t row = cloud.schema.extra_bytes();
+  stream::PointBlock block;
+  while (reader->read(block, 7))
+    for (std::size_t i = 0; i < block.size(); ++i) {
+      if (!block.position[i].allFinite()) continue;
+      cloud.points.position.push_back(block.position[i]);
+      if (cloud.schema.has_colour) cloud.points.colour.push_back(block.colour[i]);
+      cloud.points.extras.insert(cloud.points.extras.end(), block.extras.data() + i * row, block.extras.data() + (i + 1) * row);
+    }
+  return cloud;
+}
+
+/// Each extra of `before` is in `after` too, with its type and the same bytes.
+void expect_carried(const WholeCloud& before, const WholeCloud& after) {
+  ASSERT_EQ(before.points.size(), after.points.size());
+  const auto place = [](const stream::PointSchema& schema, const stream::PointProperty& wanted) {
+    std::size_t offset = 0;
+    for (const auto& e : schema.extras) {
+      if (e.name == wanted.name && e.type == wanted.type) return offset;
+      offset += stream::scalar_bytes(e.type);
+    }
+    ADD_FAILURE() << wanted.name << " is missing";
+    return std::size_t{0};
+  };
+  for (const auto& extra : before.schema.extras) {
+    const std::size_t from = place(before.schema, extra), to = place(after.schema, extra);
+    for (std::size_t i = 0; i < before.points.size(); ++i) {
+      const std::byte* a = before.points.extras.data() + i * before.schema.extra_bytes() + from;
+      const std::byte* b = after.points.extras.data() + i * after.schema.extra_bytes() + to;
+      ASSERT_EQ(std::memcmp(a, b, stream::scalar_bytes(extra.type)), 0) << extra.name << " of point " << i;
+    }
+  }
+}
+
+std::filesystem::path cloud_data(const char* name) { return std::filesystem::path(CHIARO_SOURCE_DIR) / "tests/stream/cloud/data" / name; }
+
+TEST_F(ExportPoints, LazComesOutAsLasWithAllThatItCarried) {
+  if (!CHIARO_HAS_RUST_FORMATS) GTEST_SKIP() << "built without cargo";
+  for (const char* name : {"variable_chunks.laz", "format_7.laz", "format_8.laz", "format_3.laz"}) {
+    SCOPED_TRACE(name);
+    const stream::Store store = build({cloud_data(name)});
+    ExportOptions options = to("out.las");
+    options.layer.clear();
+    run(store, options);
+    const WholeCloud before = read_cloud(cloud_data(name)), after = read_cloud(folder.path() / "out.las");
+    expect_carried(before, after);
+    ASSERT_EQ(after.points.colour, before.points.colour);   // 16 bits
+    for (std::size_t i = 0; i < before.points.size(); ++i) ASSERT_LT((before.points.position[i] - after.points.position[i]).norm(), 1e-4) << i;
+  }
+}
+
+TEST_F(ExportPoints, E57ComesOutAsPlyWithAllThatItCarried) {
+  if (!CHIARO_HAS_RUST_FORMATS) GTEST_SKIP() << "built without cargo";
+  const stream::Store store = build({cloud_data("two_scans.e57")});
+  EXPECT_EQ(store.manifest().points_read, 52u);
+  EXPECT_EQ(store.manifest().points_stored, 46u);
+  EXPECT_EQ(store.manifest().points_rejected.at("invalid in the scan"), 6u);
+  ExportOptions options = to("out.ply");
+  options.layer.clear();
+  run(store, options);
+  const WholeCloud before = read_cloud(cloud_data("two_scans.e57")), after = read_cloud(folder.path() / "out.ply");
+  expect_carried(before, after);
+  EXPECT_EQ(after.points.colour, before.points.colour);   // 8 bits both
+  EXPECT_EQ(after.points.position, before.points.position);
+}
+
+TEST_F(ExportPoints, PtxComesOutAsPlyWithAllThatItCarried) {
+  const std::string head = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n0 1 0 0\n-1 0 0 0\n0 0 1 0\n10 20 30 1\n";
+  std::string text;
+  for (int scan = 0; scan < 2; ++scan) {
+    text += "4\n5\n" + head;
+    for (int i = 0; i < 20; ++i)
+      text += i % 7 == 6 ? "0 0 0 0.5 0 0 0\n" : concat(i % 5 + 5 * scan, " ", i / 5 + 0.5, " 0.25 ", 0.01 * i, " ", i, " 2 3\n");
+  }
+  const auto path = folder.path() / "scans.ptx";
+  write_text(path, text);
+  const stream::Store store = build({path});
+  EXPECT_EQ(store.manifest().points_rejected.at("invalid in the scan"), 4u);
+  ExportOptions options = to("out.ply");
+  options.layer.clear();
+  run(store, options);
+  const WholeCloud before = read_cloud(path), after = read_cloud(folder.path() / "out.ply");
+  expect_carried(before, after);
+  EXPECT_EQ(after.points.colour, before.points.colour);
+  EXPECT_EQ(after.points.position, before.points.position);
+}
+
 }  // namespace
 }  // namespace chiaro::tools

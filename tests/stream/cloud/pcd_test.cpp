@@ -100,6 +100,38 @@ TEST_F(PcdWithPcl, OurStreamsGiveWhatPclReads) {
   EXPECT_THAT(error_of([&] { open_points(clouds / "pcl" / "milk.pcd", 100'000); }), HasSubstr("100000 are allowed"));
 }
 
+TEST_F(PcdWithPcl, ACompressedFileThatPclWroteIsRead) {
+  const fs::path path = fs::path(CHIARO_SOURCE_DIR) / "tests/stream/cloud/data/compressed.pcd";  // make_pcd.cpp has its formulas
+  expect_same_as_pcl(path);
+  const Cloud cloud = read_all(path, 77);
+  ASSERT_EQ(cloud.points.size(), 500u);
+  for (std::size_t i = 0; i < 500; ++i) {
+    if (i == 7) {
+      EXPECT_TRUE(std::isnan(cloud.points.position[i].y()));
+    } else {
+      EXPECT_EQ(cloud.points.position[i], Vec3d(0.25 * static_cast<double>(i), -1.5 * static_cast<double>(i), 3));
+    }
+    const auto red = static_cast<std::uint16_t>(i % 256 * 257), blue = static_cast<std::uint16_t>((255 - i % 256) * 257);
+    EXPECT_EQ(cloud.points.colour[i], (std::array<std::uint16_t, 3>{red, 17 * 257, blue}));
+    EXPECT_EQ(cloud.points.normal[i], Vec3f(0.6f, 0, 0.8f));
+    EXPECT_EQ(extra_of<float>(cloud, i, "curvature"), 0.001f * static_cast<float>(i));
+  }
+}
+
+TEST_F(PcdWithPcl, DamagedCompressedFilesAreReadOrRefused) {
+  const std::string file = read_text(fs::path(CHIARO_SOURCE_DIR) / "tests/stream/cloud/data/compressed.pcd");
+  const std::size_t body = file.find("binary_compressed\n") + 18;
+  for (std::size_t n = 0; n < file.size(); n += 97) error("cut.pcd", file.substr(0, n));
+  for (std::size_t i = body; i < file.size(); i += 13) {
+    std::string changed = file;
+    changed[i] ^= 0x55;
+    try {
+      EXPECT_EQ(read_all(make("changed.pcd", changed)).points.size(), 500u);
+    } catch (const Error&) {
+    }
+  }
+}
+
 TEST_F(PcdWithPcl, PclReadsWhatWeWrite) {
   PointWriterOptions options;
   options.num_points = 3;

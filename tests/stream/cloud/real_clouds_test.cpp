@@ -48,13 +48,7 @@ TEST_F(RealClouds, TextAndPlyFilesGiveTheirPoints) {
   EXPECT_EQ(read("mesh.ply").points.position[3], Vec3d(2, 2, 2));
 }
 
-TEST_F(RealClouds, CompressedAndOtherFormatsAreRefusedInWords) {
-  EXPECT_THAT(error("clouds/simple.laz"), HasSubstr("LAZ compression"));
-  EXPECT_THAT(error("clouds/1.2-with-color.copc.laz"), HasSubstr("LAZ compression"));
-  EXPECT_THAT(error("clouds/A_B.e57"), HasSubstr("E57 is not read yet"));
-  EXPECT_THAT(error("clouds/1.2-with-color.obj"), HasSubstr("unknown point cloud format"));
-  EXPECT_THAT(error("clouds/1.2-with-color.ptx"), HasSubstr("unknown point cloud format"));
-}
+TEST_F(RealClouds, OtherFormatsAreRefusedInWords) { EXPECT_THAT(error("clouds/1.2-with-color.obj"), HasSubstr("unknown point cloud format")); }
 
 TEST_F(RealClouds, DamagedFilesAreRefused) {
   EXPECT_THAT(error("malformed/bad_vlr_count.las"), HasSubstr("variable length record"));
@@ -64,7 +58,7 @@ TEST_F(RealClouds, DamagedFilesAreRefused) {
   EXPECT_THAT(error("malformed/no_vertex.ply"), HasSubstr("no element 'vertex'"));
   EXPECT_THAT(error("malformed/unsized_dims.ply"), HasSubstr("no point property 'z'"));
   EXPECT_THAT(error("malformed/badheader.txt"), HasSubstr("names of columns with x, y and z"));
-  for (const char* name : {"no_vertex.obj", "corrupt_crc.e57", "read_error.e57", "empty.e57"}) error(std::string("malformed/") + name);
+  for (const char* name : {"no_vertex.obj", "corrupt_crc.e57", "empty.e57"}) error(std::string("malformed/") + name);
 }
 
 TEST_F(RealClouds, OddButValidFilesAreRead) {

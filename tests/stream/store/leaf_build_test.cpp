@@ -34,14 +34,17 @@ Result build_with(const std::vector<SpillRecord>& records, std::uint64_t memory)
   const ScratchFolder scratch;
   {
     File spill(scratch.path() / "spill", File::Mode::kCreate), geometry(scratch.path() / "g", File::Mode::kCreate), source(scratch.path() / "s", File::Mode::kCreate);
-    spill.write_at(0, records.data(), records.size() * sizeof(SpillRecord));
-    MemoryBudget budget(memory);
+    MemoryBudget large(64 << 20), budget(memory);
+    const std::vector<Partition> partitions{{0, records.size()}};
+    SpillWriter writer(spill, RootCube{}, partitions, 0, large, 1 << 20);
+    for (const SpillRecord& r : records) writer.append(0, spill_point(r));
+    const std::uint64_t end = writer.finish();
     LeafRules rules;
     rules.chunk_surfels = 500;
     Result r;
-    r.entries = build_leaves(spill, {{0, records.size()}}, rules, {geometry, source, nullptr}, budget, silent_reporter());
+    r.entries = build_leaves(spill, end, RootCube{}, partitions, rules, {geometry, source, nullptr}, budget, silent_reporter());
     EXPECT_LE(budget.peak_bytes(), memory);
-    EXPECT_EQ(spill.size(), records.size() * sizeof(SpillRecord)) << "what was added for sub-partitions is removed again";
+    EXPECT_EQ(spill.size(), end) << "what was added for sub-partitions is removed again";
     r.geometry = read_text(scratch.path() / "g");
     r.source = read_text(scratch.path() / "s");
     return r;
@@ -142,6 +145,61 @@ TEST(CountGrid, TheCellOfAPointIsTheSameInBothPasses) {
   const auto cells = grid.cells(root);
   ASSERT_EQ(cells.size(), counts.size());
   for (const WeightedCell& c : cells) EXPECT_EQ(counts[c.key], c.count);
+}
+
+TEST(Spill, PagesGiveBackWhatWasWritten) {
+  const ScratchFolder scratch;
+  File file(scratch.path() / "spill", File::Mode::kCreate);
+  MemoryBudget budget(64 << 20);
+  RootCube root;
+  root.exponent = 5;
+  const PositionGrid grid{{0.001, 0.01, 1e-4}, {1, 2, 3}};
+  std::vector<SpillPoint> points;
+  for (std::uint64_t i = 0; i < 20000; ++i) {
+    SpillPoint p;
+    const bool on_grid = i < 9000 || i % 3 == 0;  // some pages are mixed
+    for (std::size_t a = 0; a < 3; ++a) p.place[a] = static_cast<std::int64_t>(uniform(i, static_cast<std::uint32_t>(a)) * (on_grid ? 2000 : 0x1p37));
+    if (on_grid) p.grid = &grid;
+    p.source = i == 19999 ? std::uint64_t{1} << 39 : 7 * i;
+    if (i >= 100) p.colour = {static_cast<std::uint16_t>(257 * (i % 256)), static_cast<std::uint16_t>(i), 9};
+    p.has_normal = i % 5 != 0;
+    p.normal = {static_cast<std::int16_t>(-16 * static_cast<int>(i % 2000)), 16};
+    points.push_back(p);
+  }
+  const std::vector<Partition> partitions{{0, 10000}, {std::uint64_t{1} << 60, 10000}};
+  SpillWriter writer(file, root, partitions, 0, budget, 1 << 20);
+  for (std::size_t i = 0; i < points.size(); ++i) writer.append(i % 2, points[i]);
+  const std::uint64_t end = writer.finish();
+  EXPECT_EQ(end, file.size());
+  const SpillPages pages = find_pages(file, end, partitions);
+  for (std::size_t p = 0; p < 2; ++p) {
+    std::vector<SpillRecord> records;
+    for (const SpillPage& page : pages[p]) read_page(file, page, root, records);
+    ASSERT_EQ(records.size(), 10000u);
+    for (std::size_t k = 0; k < records.size(); ++k) {
+      const SpillPoint &in = points[2 * k + p], out = spill_point(records[k]);
+      std::array<std::int64_t, 3> place = in.place;
+      if (in.grid) {
+        const auto q = root.quantise(grid.position(in.place));
+        place = {static_cast<std::int64_t>(q[0]), static_cast<std::int64_t>(q[1]), static_cast<std::int64_t>(q[2])};
+      }
+      ASSERT_EQ(out.place, place);
+      ASSERT_EQ(out.source, in.source);
+      ASSERT_EQ(out.colour, in.colour);
+      ASSERT_EQ(out.normal, in.normal);
+      ASSERT_EQ(out.has_normal, in.has_normal);
+    }
+  }
+  std::uint8_t byte = 0;
+  file.read_at(end / 2, &byte, 1);
+  byte ^= 4;
+  file.write_at(end / 2, &byte, 1);
+  const auto read_all = [&] {
+    std::vector<SpillRecord> records;
+    for (const auto& of_partition : find_pages(file, end, partitions))
+      for (const SpillPage& page : of_partition) read_page(file, page, root, records);
+  };
+  EXPECT_THROW(read_all(), Error);
 }
 
 TEST(Spill, SortingKeepsTheOrderOfEqualKeys) {
