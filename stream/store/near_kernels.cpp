@@ -19,7 +19,8 @@ typedef std::int32_t LaneMask __attribute__((vector_size(32)));
 
 #if defined(__x86_64__)
 #define CHIARO_AVX2 __attribute__((target("avx2,popcnt")))
-const bool kHasAvx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt");
+bool has_avx2() { return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt"); }
+bool wide_vectors = has_avx2();
 #endif
 #define CHIARO_INLINE inline __attribute__((always_inline))
 
@@ -184,6 +185,17 @@ CHIARO_INLINE void lines_of_directions(const float* wx, const float* wy, std::si
   store(best_y, out.y.data());
   out.x[8] = out.x[0];
   out.y[8] = out.y[0];
+  Lanes next_x, next_y;
+  load(out.x.data() + 1, next_x);
+  load(out.y.data() + 1, next_y);
+  const Lanes cross = best_x * next_y - best_y * next_x, corner_x = (next_y - best_y) / cross, corner_y = (best_x - next_x) / cross;
+  const LaneMask same = (best_x == next_x) & (best_y == next_y), meet = cross > Lanes{};
+  Lanes squared = corner_x * corner_x + corner_y * corner_y;
+  squared = meet ? squared : Lanes{} + kInfinity;
+  squared = same ? Lanes{} - 1.0f : squared;
+  store(corner_x, out.corner_x.data());
+  store(corner_y, out.corner_y.data());
+  store(squared, out.corner_squared.data());
 }
 
 CHIARO_INLINE std::size_t line_before_body(const float* wx, const float* wy, std::size_t num, float x, float y) {
@@ -374,6 +386,14 @@ CHIARO_AVX2 std::size_t line_before_avx2(const float* wx, const float* wy, std::
 
 }  // namespace
 
+void use_wide_vectors(bool use) {
+#if defined(CHIARO_AVX2)
+  wide_vectors = use && has_avx2();
+#else
+  static_cast<void>(use);
+#endif
+}
+
 void NeighbourRow::reserve(std::size_t most) {
   most = (most + 2 * kLanes) / kLanes * kLanes;
   if (x.size() >= most) return;
@@ -392,7 +412,7 @@ void NeighbourRow::pad() {
 
 void nearest_of(const CandidateView& c, const EightPoints& p, Nearest& out) {
 #if defined(CHIARO_AVX2)
-  if (kHasAvx2) return nearest_avx2(c, p, out);
+  if (wide_vectors) return nearest_avx2(c, p, out);
 #endif
   nearest_body(c, p, out);
 }
@@ -400,7 +420,7 @@ void nearest_of(const CandidateView& c, const EightPoints& p, Nearest& out) {
 void select_near_box(const CandidateView& c, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out) {
   grow(out, c.num + 2 * kLanes);
 #if defined(CHIARO_AVX2)
-  out.num = kHasAvx2 ? select_avx2(c, 0, c.num, min, max, limit, 0, out) : select_plain(c, 0, c.num, min, max, limit, 0, out);
+  out.num = wide_vectors ? select_avx2(c, 0, c.num, min, max, limit, 0, out) : select_plain(c, 0, c.num, min, max, limit, 0, out);
 #else
   out.num = select_plain(c, 0, c.num, min, max, limit, 0, out);
 #endif
@@ -409,7 +429,7 @@ void select_near_box(const CandidateView& c, const std::array<float, 3>& min, co
 
 void select_from_tree(const CandidateView& c, const BoxLevels& levels, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out) {
 #if defined(CHIARO_AVX2)
-  if (kHasAvx2) return tree_avx2(c, levels, min, max, limit, out);
+  if (wide_vectors) return tree_avx2(c, levels, min, max, limit, out);
 #endif
   visit_tree(levels, [&](const EightBoxes& b) { return boxes_plain(b, min, max, limit); },
              [&](std::uint32_t group) {
@@ -421,7 +441,7 @@ void select_from_tree(const CandidateView& c, const BoxLevels& levels, const std
 void collect_within(const CandidateView& c, float x, float y, float z, float limit, NeighbourRow& out) {
   out.reserve(c.num);
 #if defined(CHIARO_AVX2)
-  out.num = kHasAvx2 ? collect_avx2(c, x, y, z, limit, out) : collect_plain(c, x, y, z, limit, out);
+  out.num = wide_vectors ? collect_avx2(c, x, y, z, limit, out) : collect_plain(c, x, y, z, limit, out);
 #else
   out.num = collect_plain(c, x, y, z, limit, out);
 #endif
@@ -431,7 +451,7 @@ void collect_within(const CandidateView& c, float x, float y, float z, float lim
 Moments moments_within(const NeighbourRow& row, float limit) {
   Moments out;
 #if defined(CHIARO_AVX2)
-  if (kHasAvx2) {
+  if (wide_vectors) {
     moments_avx2(row, limit, out);
     return out;
   }
@@ -443,7 +463,7 @@ Moments moments_within(const NeighbourRow& row, float limit) {
 EightLines nearest_lines(const float* wx, const float* wy, std::size_t num, float half) {
   EightLines out;
 #if defined(CHIARO_AVX2)
-  if (kHasAvx2) {
+  if (wide_vectors) {
     directions_avx2(wx, wy, num, half, out);
     return out;
   }
@@ -454,7 +474,7 @@ EightLines nearest_lines(const float* wx, const float* wy, std::size_t num, floa
 
 std::size_t line_before(const float* wx, const float* wy, std::size_t num, float x, float y) {
 #if defined(CHIARO_AVX2)
-  if (kHasAvx2) return line_before_avx2(wx, wy, num, x, y);
+  if (wide_vectors) return line_before_avx2(wx, wy, num, x, y);
 #endif
   return line_before_body(wx, wy, num, x, y);
 }
@@ -478,14 +498,14 @@ bool TangentLines::make(const NeighbourRow& row, const NeighbourNormals& normals
   if (u.size() < row.x.size())
     for (std::vector<float>* values : {&u, &v, &wx, &wy}) values->resize(row.x.size());
 #if defined(CHIARO_AVX2)
-  if (kHasAvx2) return lines_avx2(row, normals, frame, *this);
+  if (wide_vectors) return lines_avx2(row, normals, frame, *this);
 #endif
   return lines_body(row, normals, frame, *this);
 }
 
 bool TangentLines::is_beyond(float x, float y, float distance, std::size_t num) const {
 #if defined(CHIARO_AVX2)
-  if (kHasAvx2) return beyond_avx2(*this, x, y, distance, num);
+  if (wide_vectors) return beyond_avx2(*this, x, y, distance, num);
 #endif
   return beyond_body(*this, x, y, distance, num);
 }

@@ -7,6 +7,9 @@
 
 namespace chiaro::stream {
 
+/// For tests: false takes the way of processors without AVX2.
+void use_wide_vectors(bool use);
+
 inline constexpr std::uint32_t kLanes = 8;
 inline constexpr std::size_t kNearest = 6;
 
@@ -70,6 +73,8 @@ Moments moments_within(const NeighbourRow& row, float limit);
 /// bound the Voronoi cell of the origin. Here the first line that is met in each of eight directions, 45 degrees apart, the first repeated.
 struct EightLines {
   std::array<float, 9> x, y;
+  std::array<float, 8> corner_x, corner_y;   ///< where a line meets the next one
+  std::array<float, 8> corner_squared;       ///< its squared distance; negative where both are the same line, infinite where they do not meet
 };
 /// Beside the given lines there is a square of the half size `half`. The arrays hold room for whole lanes of eight, zero behind the last line.
 EightLines nearest_lines(const float* wx, const float* wy, std::size_t num, float half);

@@ -464,13 +464,13 @@ class RadiusFitter {
   RadiusFitter(const HaloChunk& own, const FitOptions& options, std::vector<RadiusFit>& fits) : own_(own), options_(options), fits_(fits) {}
 
   static constexpr bool kNeedsNormals = true;
-  static constexpr float kNearShare = 0.72f;
+  static constexpr float kNearShare = 0.85f;
 
-  // The nearest half of the neighbours settles most cells: what is further than twice the farthest corner cuts nothing.
+  // The nearest of the neighbours settle most cells: what is further than twice the farthest corner cuts nothing.
   bool fit_nearest(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const CandidateView& view, const Candidates& c, float radius, float near) {
     const float reach = std::min(near, kNearShare * radius);
     collect_within(view, own_.x[i], own_.y[i], own_.z[i], reach * reach, row_);
-    return row_.num <= options_.most / 2 && fit_inside(i, nearest_squared, c, radius, reach);
+    return row_.num <= options_.most * 7 / 10 && fit_inside(i, nearest_squared, c, radius, reach);
   }
 
   bool fit_near(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const CandidateView& view, const Candidates& c, float radius) {
@@ -538,14 +538,25 @@ class RadiusFitter {
     return std::clamp(1.1f * within, 0.75f * scale, std::max(1.1f * within, scale));
   }
 
-  struct CellCorner {
-    float ax, ay, bx, by;  // the lines that meet here, counter-clockwise
-    float x, y, distance_squared;
-    CellCorner(float ax_, float ay_, float bx_, float by_) : ax(ax_), ay(ay_), bx(bx_), by(by_) {
-      const float cross = ax * by - ay * bx;
-      x = (by - ay) / cross;
-      y = (ax - bx) / cross;
-      distance_squared = cross > 0 ? x * x + y * y : std::numeric_limits<float>::infinity();
+  // Corners of a cell: the two lines that meet, counter-clockwise, where, and the squared distance.
+  struct CellCorners {
+    static constexpr std::size_t kMost = 64;
+    std::array<float, kMost> ax, ay, bx, by, x, y, squared;
+    std::size_t size = 0;
+    void set(std::size_t at, float ax_, float ay_, float bx_, float by_) {
+      const float cross = ax_ * by_ - ay_ * bx_;
+      ax[at] = ax_;
+      ay[at] = ay_;
+      bx[at] = bx_;
+      by[at] = by_;
+      x[at] = (by_ - ay_) / cross;
+      y[at] = (ax_ - bx_) / cross;
+      squared[at] = cross > 0 ? x[at] * x[at] + y[at] * y[at] : std::numeric_limits<float>::infinity();
+    }
+    std::size_t farthest() const {
+      std::size_t at = 0;
+      for (std::size_t i = 1; i < size; ++i) at = squared[i] > squared[at] ? i : at;
+      return at;
     }
   };
 
@@ -554,33 +565,38 @@ class RadiusFitter {
   // until those that matter are right.
   float farthest_corner(float half, float scale, float reach, bool& open) {
     const EightLines lines = nearest_lines(lines_.wx.data(), lines_.wy.data(), row_.num, half);
-    corners_.clear();
-    for (std::size_t k = 0; k < 8; ++k)
-      if (lines.x[k] != lines.x[k + 1] || lines.y[k] != lines.y[k + 1]) corners_.emplace_back(lines.x[k], lines.y[k], lines.x[k + 1], lines.y[k + 1]);
+    CellCorners c;
+    for (std::size_t k = 0; k < 8; ++k) {
+      c.ax[k] = lines.x[k];
+      c.ay[k] = lines.y[k];
+      c.bx[k] = lines.x[k + 1];
+      c.by[k] = lines.y[k + 1];
+      c.x[k] = lines.corner_x[k];
+      c.y[k] = lines.corner_y[k];
+      c.squared[k] = lines.corner_squared[k];
+    }
+    c.size = 8;
     float within = 0;
-    while (!corners_.empty()) {
-      const auto farthest = std::max_element(corners_.begin(), corners_.end(), [](const CellCorner& a, const CellCorner& b) { return a.distance_squared < b.distance_squared; });
-      const CellCorner corner = *farthest;
-      if (!std::isfinite(corner.distance_squared)) return 0;
-      if (within > 0 && corner.distance_squared <= scale * scale) break;
-      const std::size_t cut = line_before(lines_.wx.data(), lines_.wy.data(), row_.num, corner.x, corner.y);
+    for (;;) {
+      const std::size_t at = c.farthest();
+      if (c.squared[at] < 0 || (within > 0 && c.squared[at] <= scale * scale)) return within;
+      if (!std::isfinite(c.squared[at])) return 0;
+      const float x = c.x[at], y = c.y[at];
+      const std::size_t cut = line_before(lines_.wx.data(), lines_.wy.data(), row_.num, x, y);
       if (cut < row_.num) {
+        if (c.size == CellCorners::kMost) return 0;
         const float wx = lines_.wx[cut], wy = lines_.wy[cut];
-        *farthest = CellCorner(corner.ax, corner.ay, wx, wy);
-        corners_.emplace_back(wx, wy, corner.bx, corner.by);
-        if (corners_.size() > 64) return 0;
+        c.set(c.size++, wx, wy, c.bx[at], c.by[at]);
+        c.set(at, c.ax[at], c.ay[at], wx, wy);
         continue;
       }
-      if (std::max(std::abs(corner.x), std::abs(corner.y)) >= 0.9999f * half) return 0;
-      const float d = std::sqrt(corner.distance_squared);
-      if (2 * d > reach) return 0;
-      if (d <= scale || lines_.is_beyond(corner.x / d, corner.y / d, d, row_.num)) within = std::max(within, d);
+      const float d = std::sqrt(c.squared[at]);
+      if (std::max(std::abs(x), std::abs(y)) >= 0.9999f * half || 2 * d > reach) return 0;
+      if (d <= scale || lines_.is_beyond(x / d, y / d, d, row_.num)) within = std::max(within, d);
       else if (reach < kAllNeighbours) return 0;
       else open = true;
-      *farthest = corners_.back();
-      corners_.pop_back();
+      c.squared[at] = -1;  // done
     }
-    return within;
   }
 
   // The nearest first: they settle most of the cell.
@@ -748,7 +764,6 @@ class RadiusFitter {
   NeighbourRow row_;
   NeighbourNormals normals_;
   TangentLines lines_;
-  std::vector<CellCorner> corners_;
   NeighbourList list_;
   std::vector<float> tangent_u_, tangent_v_;
 };
