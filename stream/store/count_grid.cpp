@@ -1,7 +1,6 @@
 #include "stream/store/count_grid.h"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 
 #include "stream/base/error.h"
@@ -25,12 +24,6 @@ int ceil_log2(double v) {
   int e = 0;
   const double m = std::frexp(v, &e);
   return m == 0.5 ? e - 1 : e;
-}
-
-// As std::floor, which is a call on processors without SSE4.1. |v| < 2^62.
-std::int64_t floor_integer(double v) {
-  const auto cut = static_cast<std::int64_t>(v);
-  return cut - static_cast<std::int64_t>(static_cast<double>(cut) > v);
 }
 
 std::array<std::int64_t, 3> floor_cell(const Vec3d& p, double scale) {
@@ -66,14 +59,6 @@ double RootCube::edge() const { return std::ldexp(1.0, exponent); }
 Vec3d RootCube::origin() const {
   const double unit = std::ldexp(1.0, exponent - kAxisBits);
   return {static_cast<double>(corner[0]) * unit, static_cast<double>(corner[1]) * unit, static_cast<double>(corner[2]) * unit};
-}
-
-std::array<std::uint64_t, 3> RootCube::quantise(const Vec3d& p) const {
-  const auto c = floor_cell(p, std::bit_cast<double>(static_cast<std::uint64_t>(1023 + kAxisBits - exponent) << 52));  // 2^(37 - exponent)
-  constexpr std::int64_t kLast = (std::int64_t{1} << kAxisBits) - 1;
-  std::array<std::uint64_t, 3> q;
-  for (std::size_t a = 0; a < 3; ++a) q[a] = static_cast<std::uint64_t>(std::clamp<std::int64_t>(c[a] - corner[a], 0, kLast));
-  return q;
 }
 
 CountGrid::CountGrid(MemoryBudget& budget, std::uint64_t max_bytes) : budget_(budget), max_slots_(std::uint64_t{1} << 19) {

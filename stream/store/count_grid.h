@@ -1,6 +1,8 @@
 /// Pass 1 of a build: where the points are. Counts in cells of an absolute power-of-two grid, from which the root cube, the typical spacing and
 /// the partitions of the spill file follow. Root and spacing depend on the points and their order in the files only, never on the budget.
 #pragma once
+#include <algorithm>
+#include <bit>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -11,6 +13,12 @@
 
 namespace chiaro::stream {
 
+/// As std::floor, which is a call on processors without SSE4.1. |v| < 2^62.
+inline std::int64_t floor_integer(double v) {
+  const auto cut = static_cast<std::int64_t>(v);
+  return cut - static_cast<std::int64_t>(static_cast<double>(cut) > v);
+}
+
 /// The root cell as integers: a coordinate p is floor(p / unit) - corner, 37 bits, where unit = 2^exponent / 2^37. Scaling by a power of two and
 /// flooring are exact, so both passes and all levels agree on the cell of every point.
 struct RootCube {
@@ -19,7 +27,14 @@ struct RootCube {
   double edge() const;
   Vec3d origin() const;
   /// Clamped to the cube.
-  std::array<std::uint64_t, 3> quantise(const Vec3d& p) const;
+  std::array<std::uint64_t, 3> quantise(const Vec3d& p) const {
+    const double per_unit = std::bit_cast<double>(static_cast<std::uint64_t>(1023 + kAxisBits - exponent) << 52);  // 2^(37 - exponent)
+    constexpr std::int64_t kLast = (std::int64_t{1} << kAxisBits) - 1;
+    std::array<std::uint64_t, 3> q;
+    for (std::size_t a = 0; a < 3; ++a)
+      q[a] = static_cast<std::uint64_t>(std::clamp<std::int64_t>(floor_integer(p[static_cast<int>(a)] * per_unit) - corner[a], 0, kLast));
+    return q;
+  }
 };
 
 struct WeightedCell {

@@ -162,7 +162,8 @@ class Builder {
     // allocator handle well.
     const std::uint64_t room = std::min(leaf_workers(budget_, options_.chunk_surfels).capacity / 2, kMostPartitionPoints);
     const std::uint64_t capacity = std::max<std::uint64_t>(room, options_.chunk_surfels);
-    b_.partitions = make_partitions(cells, grid.level(b_.root), options_.chunk_surfels, capacity);
+    grid_level_ = grid.level(b_.root);
+    b_.partitions = make_partitions(cells, grid_level_, options_.chunk_surfels, capacity);
   }
 
   std::uint64_t declared_points() const {
@@ -214,7 +215,7 @@ class Builder {
           }
           points[i] = make_point(schema, grid, inverse, first + i, block, i);
           const auto q = b_.root.quantise(block.position[i]);
-          partition[i] = static_cast<std::uint32_t>(writer.partition_of(morton_encode(q[0] >> kLocalBits, q[1] >> kLocalBits, q[2] >> kLocalBits)));
+          partition[i] = static_cast<std::uint32_t>(writer.partition_of(cell_of_partitions(q)));
           if (!points[i].grid) points[i].place = {static_cast<std::int64_t>(q[0]), static_cast<std::int64_t>(q[1]), static_cast<std::int64_t>(q[2])};
         }
       });
@@ -247,6 +248,13 @@ class Builder {
       most = std::max(most, sum);
     }
     return most;
+  }
+
+  // First level-21 cell of the cell of the counting grid: partitions are made of such.
+  std::uint64_t cell_of_partitions(const std::array<std::uint64_t, 3>& q) const {
+    const int shift = kAxisBits - grid_level_, up = 3 * (kMaxLevel - grid_level_);
+    if (grid_level_ > ShortMorton::kBits) return morton_encode(q[0] >> shift, q[1] >> shift, q[2] >> shift) << up;
+    return morton_.encode(q[0] >> shift, q[1] >> shift, q[2] >> shift) << up;
   }
 
   SpillPoint make_point(const PointSchema& schema, const PositionGrid* grid, const Vec3d& inverse, std::uint64_t number, const PointBlock& block, std::size_t i) const {
@@ -375,6 +383,8 @@ class Builder {
   BuildJournal b_;
   std::vector<std::optional<PositionGrid>> grids_;   // of the clouds, as the count saw them
   Vec3d bounds_extent_ = Vec3d::Zero();
+  int grid_level_ = 0;                               // of the cells that partitions are made of
+  ShortMorton morton_;
   bool colour_is_16_bit_ = false, has_normals_ = false;
 };
 

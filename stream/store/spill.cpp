@@ -4,6 +4,8 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <span>
+#include <utility>
 
 #include "stream/base/error.h"
 #include "stream/base/hash.h"
@@ -97,6 +99,14 @@ void unpack(const std::byte* from, const ColumnHeader& h, std::size_t count, Val
 std::array<std::uint64_t, 3> place_in_root(const RootCube& root, const PositionGrid* grid, const std::array<std::int64_t, 3>& place) {
   if (!grid) return {static_cast<std::uint64_t>(place[0]), static_cast<std::uint64_t>(place[1]), static_cast<std::uint64_t>(place[2])};
   return root.quantise(grid->position(place));
+}
+
+// Stable; nearly always there are two or three.
+void sort_by_key(std::span<SpillRecord> records) {
+  const auto before = [](const SpillRecord& a, const SpillRecord& b) { return a.key() < b.key(); };
+  if (records.size() > 32) return std::stable_sort(records.begin(), records.end(), before);
+  for (std::size_t i = 1; i < records.size(); ++i)
+    for (std::size_t k = i; k > 0 && before(records[k], records[k - 1]); --k) std::swap(records[k], records[k - 1]);
 }
 
 [[noreturn]] void damaged(const File& file, std::uint64_t offset) { throw Error(concat(file.path().string(), ": the page at byte ", offset, " is damaged")); }
@@ -279,30 +289,34 @@ std::vector<SpillRecord> sorted_by_key(std::vector<SpillRecord> records) {
     low = std::min(low, r.key());
     high = std::max(high, r.key());
   }
-  // The 44 bits below the common prefix settle nearly every pair; the rest is sorted by the whole key.
+  // The 33 bits below the common prefix settle nearly every pair; the rest is sorted by the whole key.
+  constexpr int kDigit = 11, kPasses = 3;
   const MortonKey differ = low ^ high;
   const auto differ_high = static_cast<std::uint64_t>(differ >> 64), differ_low = static_cast<std::uint64_t>(differ);
   const int top = differ_high != 0 ? 128 - std::countl_zero(differ_high) : 64 - std::countl_zero(differ_low);
-  const int shift = std::max(0, top - 44);
+  const int shift = std::max(0, top - kDigit * kPasses);
   std::vector<Item> items(n), other(n);
-  for (std::size_t i = 0; i < n; ++i) items[i] = {static_cast<std::uint64_t>(records[i].key() >> shift) & ((std::uint64_t{1} << 44) - 1), static_cast<std::uint32_t>(i), 0};
-  for (int pass = 0; pass < 4; ++pass) {
-    std::array<std::uint32_t, 2049> start{};
-    for (const Item& item : items) ++start[1 + ((item.window >> (11 * pass)) & 2047)];
+  std::array<std::array<std::uint32_t, 1 << kDigit>, kPasses> counts{};
+  const auto digit = [](const Item& item, int pass) { return item.window >> (kDigit * pass) & ((1 << kDigit) - 1); };
+  for (std::size_t i = 0; i < n; ++i) {
+    items[i] = {static_cast<std::uint64_t>(records[i].key() >> shift) & ((std::uint64_t{1} << (kDigit * kPasses)) - 1), static_cast<std::uint32_t>(i), 0};
+    for (int pass = 0; pass < kPasses; ++pass) ++counts[static_cast<std::size_t>(pass)][digit(items[i], pass)];
+  }
+  for (int pass = 0; pass < kPasses; ++pass) {
+    std::array<std::uint32_t, 1 << kDigit>& start = counts[static_cast<std::size_t>(pass)];
     if (std::any_of(start.begin(), start.end(), [&](std::uint32_t c) { return c == n; })) continue;
-    for (std::size_t d = 1; d < start.size(); ++d) start[d] += start[d - 1];
-    for (const Item& item : items) other[start[(item.window >> (11 * pass)) & 2047]++] = item;
+    std::uint32_t sum = 0;
+    for (std::uint32_t& c : start) sum += std::exchange(c, sum);
+    for (const Item& item : items) other[start[digit(item, pass)]++] = item;
     items.swap(other);
   }
   std::vector<Item>().swap(other);
   std::vector<SpillRecord> sorted(n);
   for (std::size_t i = 0; i < n; ++i) sorted[i] = records[items[i].index];
-  for (std::size_t i = 0; i < n;) {
+  for (std::size_t i = 0; i < n && shift > 0;) {
     std::size_t end = i + 1;
     while (end < n && items[end].window == items[i].window) ++end;
-    if (end - i > 1 && shift > 0)
-      std::stable_sort(sorted.begin() + static_cast<std::ptrdiff_t>(i), sorted.begin() + static_cast<std::ptrdiff_t>(end),
-                       [](const SpillRecord& a, const SpillRecord& b) { return a.key() < b.key(); });
+    sort_by_key(std::span(sorted).subspan(i, end - i));
     i = end;
   }
   return sorted;

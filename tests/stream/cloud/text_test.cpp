@@ -65,6 +65,23 @@ TEST_F(Text, AHeaderLineNamesTheColumns) {
   }
 }
 
+TEST_F(Text, LinesParsedSideBySideStayInOrderAndTheFirstBadOneIsReported) {
+  std::string text;
+  for (int i = 0; i < 20000; ++i) text += std::to_string(i) + " 1 " + std::to_string(i % 7) + "\n";
+  const Cloud cloud = read("a.xyz", text);
+  ASSERT_EQ(cloud.points.size(), 20000u);
+  for (int i = 0; i < 20000; ++i) ASSERT_EQ(cloud.points.position[static_cast<std::size_t>(i)], Vec3d(i, 1, i % 7));
+  std::string bad = text;
+  bad.replace(bad.find("\n15000 ") + 1, 5, "1500x");
+  bad.replace(bad.find("\n9000 ") + 1, 4, "900x");
+  try {
+    read("bad.xyz", bad);
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_NE(std::string(e.what()).find("line 9001: '900x'"), std::string::npos) << e.what();
+  }
+}
+
 TEST_F(Text, ManyDigitsNeedDoubles) {
   EXPECT_TRUE(read("a.xyz", "289814.15 4320978.61 170.76\n").schema.position_is_double);
   EXPECT_EQ(read("a.xyz", "289814.15 4320978.61 170.76\n").points.position[0].y(), 4320978.61);

@@ -89,6 +89,17 @@ TEST(Block, RadiusCodesRoundUpByLessThanAStep) {
   EXPECT_EQ(encode_radius(1e-9f, largest), 0);
 }
 
+TEST(Block, TheRadiusTableAnswersAsTheFunctionsDo) {
+  const float largest = 0.37f;
+  const RadiusTable table(largest);
+  for (int code = 0; code < 256; ++code) {
+    const float r = decode_radius(static_cast<std::uint8_t>(code), largest);
+    EXPECT_EQ(table.decode(static_cast<std::uint8_t>(code)), r);
+    for (const float near : {std::nextafter(r, 0.0f), r, std::nextafter(r, 1.0f)}) EXPECT_EQ(table.encode(near), encode_radius(near, largest));
+  }
+  for (const float r : {-1.0f, 0.0f, 1e-9f, 2.0f}) EXPECT_EQ(table.encode(r), encode_radius(r, largest));
+}
+
 TEST(Block, PositionsAreTheMiddleOfTheirStep) {
   SurfelBlock block{};
   block.x[3] = 65535;

@@ -14,6 +14,7 @@
 #include "stream/base/file.h"
 #include "stream/base/parallel.h"
 #include "stream/store/layer.h"
+#include "stream/store/near_kernels.h"
 #include "stream/store/store.h"
 
 namespace chiaro::stream {
@@ -209,6 +210,46 @@ TEST(Build, NeitherThreadsNorMemoryChangeAByte) {
   EXPECT_GT(results[0].at("geometry.bin").size(), 1000000u);
   EXPECT_TRUE(results[0] == results[1]) << "threads";
   EXPECT_TRUE(results[0] == results[2]) << "memory";
+}
+
+TEST(Build, TheProcessorChangesNoByte) {
+  const ScratchFolder scratch;
+  MemoryCloud cloud = sphere_cloud(40000, 1.0, 0.0003);
+  for (std::size_t i = 0; i < 20000; ++i) cloud.position.push_back({uniform(i, 0) - 0.5, uniform(i, 1) - 0.5, 0.3});  // edges where it cuts the sphere
+  build(cloud, scratch.path() / "wide.chiaro", 4096);
+  use_wide_vectors(false);
+  build(cloud, scratch.path() / "narrow.chiaro", 4096);
+  use_wide_vectors(true);
+  EXPECT_TRUE(bytes_of(scratch.path() / "wide.chiaro") == bytes_of(scratch.path() / "narrow.chiaro"));
+}
+
+TEST(Build, APreviewNeedsNoNeighbours) {
+  const ScratchFolder scratch;
+  const std::size_t n = 60000;
+  const MemoryCloud cloud = sphere_cloud(n, 1.0);
+  BuildOptions options;
+  options.normals = NormalSource::kNone;
+  options.chunk_surfels = 4096;
+  MemoryBudget budget(1 << 28);
+  const fs::path out = scratch.path() / "a.chiaro";
+  build_store_from(input_of(cloud), out, options, budget, silent_reporter());
+  EXPECT_TRUE(verify_store(out, budget, silent_reporter()).problems.empty());
+  const Store store(out);
+  expect_all_points_stored(store, cloud);
+  const double spacing = std::sqrt(4 * 3.14159265 / static_cast<double>(n));
+  std::vector<double> angles;
+  for (const std::uint32_t leaf : store.leaves()) {
+    EXPECT_NEAR(store.chunks()[leaf].spacing / spacing, 1, 0.3);
+    EXPECT_NEAR(store.chunks()[leaf].radius_max / spacing, 1.5, 0.5);
+    const Chunk c = store.read_chunk(leaf);
+    const auto sources = store.read_sources(leaf);
+    for (std::uint32_t i = 0; i < c.count; ++i) {
+      ASSERT_EQ(c.surfel(i).flags, SurfelBlock::kEstimated | SurfelBlock::kIsolated);
+      angles.push_back(std::acos(std::min(1.0, std::abs(c.surfel(i).normal.cast<double>().dot(sphere_direction(sources[i]))))) * kDegrees);
+    }
+  }
+  std::nth_element(angles.begin(), angles.begin() + static_cast<std::ptrdiff_t>(n / 2), angles.end());
+  EXPECT_LT(angles[n / 2], 5);
 }
 
 TEST(Build, MemoryStaysWithinTheBudget) {
