@@ -89,27 +89,27 @@ TEST(LightSolve, AReferenceFixesTheScale) {
   EXPECT_LT(std::sqrt(s.covariance(0, 0)), 0.02);
 }
 
-// A target in the flash's shadow, read 20 % wrong by the bounced light it stands in: it must not pull the flash by more than it knows.
+// On a convex body the samples fix the ratio of the lights and a reference the scale, with its own error where the flash lights it, and with that of the sky's
+// share (3 %) besides where it lies in the flash's shadow: sd = 1 / sqrt(1 / prior^2 + 1 / error^2).
 TEST(LightSolve, AReferenceInShadowSaysLessThanOneInLight) {
   Truth truth;
-  truth.noise = 0.01;
+  truth.gathered = 0;
   const auto samples = make_samples(truth, 400);
   LightSolveOptions options;
   options.flash_ln_mean = std::log(12.0);
   options.flash_ln_sd = 0.05;
-  const auto pull = [&](float flash) {
+  const auto sd = [&](float flash, float sky) {
     ReferenceSample reference;
-    reference.sample = samples[0];
     reference.sample.flash = flash;
+    reference.sample.sky[0] = sky;
     for (std::size_t c = 0; c < 3; ++c) {
       reference.albedo[c] = 0.5;
-      const double h = 12 * static_cast<double>(flash) + 0.2 * static_cast<double>(reference.sample.sky[0]) + static_cast<double>(reference.sample.gathered[c]);
-      reference.sample.radiosity[c] = static_cast<float>(1.2 * 0.5 * h);
+      reference.sample.radiosity[c] = 0.5f * (12 * flash + 0.2f * sky);
     }
-    return std::fabs(std::log(solve_lights(samples, {&reference, 1}, options, start(12, 0.2)).lights.flash_intensity / 12));
+    return std::sqrt(solve_lights(samples, {&reference, 1}, options, start(12, 0.2)).covariance(0, 0));
   };
-  EXPECT_LT(pull(0), 0.5 * pull(1));
-  EXPECT_LT(pull(0), 0.05);
+  EXPECT_NEAR(sd(1, 0), 1 / std::sqrt(400.0 + 1e4), 5e-4);
+  EXPECT_NEAR(sd(0, 3), 1 / std::sqrt(400.0 + 1 / (1e-4 + 9e-4)), 2e-3);
 }
 
 // Lights far too dark make albedos above 1. With nothing else known they are pulled up until albedos are possible.
