@@ -211,6 +211,7 @@ Lights start_lights(const AcquisitionInput& input, int sky_terms) {
 void guess_flash(const Scene& scene, const AcquisitionInput& input, const std::filesystem::path& folder, Lights& lights) {
   if (input.intensity_range) return;
   const std::size_t n = scene.proxy.size();
+  if (n == 0) return;
   std::vector<float> ln_sum(n, 0.0f);
   std::vector<std::uint16_t> times(n, 0);
   for (std::size_t k = 0; k < input.photographs.size(); ++k) {
@@ -358,21 +359,18 @@ class LightProblem {
   static constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
 
   /// Photographs may hold no interreflection at all (they were corrected before, or composed). If leaving it out explains them far better, it is left out.
-  void check_bounces(LightSolveOptions options, LightSolution& solution) {
-    const double with_mean = options.bounce_mean, with_sd = options.bounce_sd;
-    options.bounce_mean = options.bounce_sd = 0;
+  void check_bounces(const LightSolveOptions& options, LightSolution& solution) {
+    LightSolveOptions no_bounces = options;
+    no_bounces.bounce_mean = no_bounces.bounce_sd = 0;
     Lights start = solution.lights;
     start.bounce = 0;
     // References do not take part: one that is misread must not decide.
-    const LightSolution without = solve_lights(samples_, {}, options, start);
-    options.bounce_mean = with_mean;
-    options.bounce_sd = with_sd;
+    const LightSolution without = solve_lights(samples_, {}, no_bounces, start);
     const double with = references_.empty() ? solution.scatter : solve_lights(samples_, {}, options, solution.lights).scatter;
     constexpr double kClearly = 0.8;
     if (without.scatter > kClearly * with) return;
     without_bounces_ = true;
-    options.bounce_mean = options.bounce_sd = 0;
-    solution = references_.empty() ? without : solve_lights(samples_, current_references(), options, start);
+    solution = references_.empty() ? without : solve_lights(samples_, current_references(), no_bounces, start);
   }
 
   Observation read(std::size_t k) const { return read_observation(observation_path(folder_, k), scene_.proxy.size()); }

@@ -19,7 +19,7 @@ namespace {
 constexpr double kPi = std::numbers::pi;
 constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 constexpr int kBandRows = 128;
-constexpr float kImpossible = 2;
+constexpr double kImpossible = 2;
 constexpr double kShadowDoubt = 0.7;   // of the flash, where a shadow's edge may be on either side of the pixel
 
 struct PixelAlbedo {
@@ -92,7 +92,8 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   }
   const double sd = direct / total_mean, sg = indirect_mean / total_mean;
   // No surface gives back twice what it receives: the light at this pixel is not what it is taken for (a shadow's edge, a highlight).
-  if (std::max({out.albedo[0], out.albedo[1], out.albedo[2]}) > kImpossible) {
+  const double brightest = static_cast<double>(std::max({out.albedo[0], out.albedo[1], out.albedo[2]}));
+  if (brightest > kImpossible) {
     PixelAlbedo none;
     none.impossible = true;
     return none;
@@ -106,7 +107,6 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   // Lit or not is in doubt near the edge of a cast shadow, and what is brighter than a white surface would be there is not what it is taken for.
   const double unshadowed = lights.flash_intensity * std::max(0.0, static_cast<double>(band.normal(i).dot(to_flash)) / std::pow(static_cast<double>(to_flash.norm()), 3));
   const double shadow = kShadowDoubt * static_cast<double>(band.shadow[i]) * std::max(direct, unshadowed - direct) / total_mean;
-  const double brightest = static_cast<double>(std::max({out.albedo[0], out.albedo[1], out.albedo[2]}));
   const double too_bright = brightest > 1 ? 2 * (1 - 1 / brightest) : 0;
   const double blur = square(c.options.registration_sigma_px * gradient(band, x, y)) + square(0.3 * sd * static_cast<double>(band.spread[i]));
   out.sigma = static_cast<float>(std::sqrt(noise + 0.25 * blur + square(shadow) + square(too_bright) + square(c.options.floor)));

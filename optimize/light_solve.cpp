@@ -297,7 +297,6 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
     here = it < 8 ? build(x, scale) : there;
   }
   solution.lights = x;
-  solution.objective = here.objective;
   solution.scatter = robust_scale(x, samples, groups, layout).second;
   // Sandwich: the scatter of the groups' scores is what the data say about their own reliability.
   Eigen::MatrixXd a = here.a.topLeftCorner(p, p), bread;

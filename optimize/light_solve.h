@@ -51,7 +51,6 @@ struct LightSolution {
   Lights lights;
   Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), bounce): sandwich estimate, prior included
   double scatter = 0;                         ///< robust standard deviation of ln albedo between samples of a group
-  double objective = 0;                       ///< robust sum at the solution, for comparing models
   std::size_t groups = 0, samples = 0;
   int iterations = 0;
   bool converged = false;
