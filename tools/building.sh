@@ -6,12 +6,14 @@ memory_jobs=$(awk '/^MemAvailable/ { print int($2 / 1700000) }' /proc/meminfo)
 [ "$memory_jobs" -ge "$jobs" ] || jobs=$memory_jobs
 [ "$jobs" -ge 1 ] || jobs=1
 
+# Headers are compiled once and for all, which makes a build from scratch a third shorter; ccache has to be told that it may follow.
+export CCACHE_SLOPPINESS=${CCACHE_SLOPPINESS:-pch_defines,time_macros}
+
 # build PRESET [TARGETS…]: one line when it works, the end of the log when it does not.
 build() {
   local preset=$1 log=build/$1.log began=$SECONDS
   shift
-  local configure=(cmake --preset "$preset") compile=(cmake --build --preset "$preset" --parallel "$jobs")
-  # CHIARO_PCH=ON would save a third of a build from scratch; it is off until every preset was seen to pass with it.
+  local configure=(cmake --preset "$preset" -DCHIARO_PCH=ON) compile=(cmake --build --preset "$preset" --parallel "$jobs")
   [ $# -eq 0 ] || compile+=(--target "$@")
   mkdir -p build
   if ! { "${configure[@]}" && "${compile[@]}"; } >"$log" 2>&1; then
