@@ -36,7 +36,7 @@ if(CHIARO_RUST_FORMATS)
     set(folder ${CMAKE_BINARY_DIR}/rust_formats)
     cmake_path(IS_PREFIX CMAKE_SOURCE_DIR ${CMAKE_BINARY_DIR} presets)
     if(presets)   # the same for all of build/release, build/asan, ...
-      set(folder ${CMAKE_BINARY_DIR}/../rust_formats)
+      cmake_path(SET folder NORMALIZE ${CMAKE_BINARY_DIR}/../rust_formats)
     endif()
     set(CHIARO_RUST_LIBRARY ${folder}/release/libchiaro_rust_formats.a)
     set(rust_sources e57_scans.rs file_at.rs laz_chunks.rs lib.rs pages.rs)
