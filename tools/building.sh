@@ -6,8 +6,9 @@ memory_jobs=$(awk '/^MemAvailable/ { print int($2 / 1700000) }' /proc/meminfo)
 [ "$memory_jobs" -ge "$jobs" ] || jobs=$memory_jobs
 [ "$jobs" -ge 1 ] || jobs=1
 
-# Headers are compiled once and for all, which makes a build from scratch a third shorter; ccache has to be told that it may follow.
-export CCACHE_SLOPPINESS=${CCACHE_SLOPPINESS:-pch_defines,time_macros}
+# Headers are compiled once and for all, which makes a build from scratch a third shorter; ccache has to be told that it may follow. In its depend mode
+# it costs nothing where it knows nothing yet.
+export CCACHE_SLOPPINESS=${CCACHE_SLOPPINESS:-pch_defines,time_macros} CCACHE_DEPEND=${CCACHE_DEPEND:-1}
 
 # build PRESET [TARGETS…]: one line when it works, the end of the log when it does not.
 build() {
