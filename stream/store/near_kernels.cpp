@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "stream/store/block.h"
+#include "stream/store/lanes.h"
 
 #if defined(__x86_64__)
 #include <immintrin.h>
@@ -13,21 +14,12 @@
 namespace chiaro::stream {
 namespace {
 
-// A GCC and Clang extension: two halves on processors with 16-byte vectors, one piece with AVX2.
-typedef float Lanes __attribute__((vector_size(32)));
-typedef std::int32_t LaneMask __attribute__((vector_size(32)));
-
-#if defined(__x86_64__)
-#define CHIARO_AVX2 __attribute__((target("avx2,popcnt")))
+#if defined(CHIARO_AVX2)
 bool has_avx2() { return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt"); }
-bool wide_vectors = has_avx2();
+bool use_avx2 = has_avx2();
 #endif
-#define CHIARO_INLINE inline __attribute__((always_inline))
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
-
-CHIARO_INLINE void load(const float* from, Lanes& to) { __builtin_memcpy(&to, from, sizeof to); }
-CHIARO_INLINE void store(const Lanes& from, float* to) { __builtin_memcpy(to, &from, sizeof from); }
 
 CHIARO_INLINE void nearest_body(const CandidateView& c, const EightPoints& p, Nearest& out) {
   Lanes px, py, pz, best[kNearest];
@@ -120,6 +112,18 @@ CHIARO_INLINE void visit_tree(const BoxLevels& levels, const Boxes& boxes, const
   }
 }
 
+CHIARO_INLINE void add_terms(const Lanes& x, const Lanes& y, const Lanes& z, Lanes* sums) {
+  sums[0] += x;
+  sums[1] += y;
+  sums[2] += z;
+  sums[3] += x * x;
+  sums[4] += x * y;
+  sums[5] += x * z;
+  sums[6] += y * y;
+  sums[7] += y * z;
+  sums[8] += z * z;
+}
+
 // Sums of the eight lanes of nine vectors, always in the same order.
 CHIARO_INLINE void add_lanes(const Lanes (&sums)[9], Moments& out) {
   float lanes[9][kLanes];
@@ -145,20 +149,31 @@ CHIARO_INLINE void moments_body(const NeighbourRow& row, float limit, Moments& o
     y = inside ? y : Lanes{};
     z = inside ? z : Lanes{};
     number += inside ? one : Lanes{};
-    sums[0] += x;
-    sums[1] += y;
-    sums[2] += z;
-    sums[3] += x * x;
-    sums[4] += x * y;
-    sums[5] += x * z;
-    sums[6] += y * y;
-    sums[7] += y * z;
-    sums[8] += z * z;
+    add_terms(x, y, z, sums);
   }
   add_lanes(sums, out);
   float n[kLanes];
   store(number, n);
   out[9] = static_cast<double>(((n[0] + n[4]) + (n[2] + n[6])) + ((n[1] + n[5]) + (n[3] + n[7])));
+}
+
+CHIARO_INLINE void eight_moments_body(const CandidateView& c, const EightPoints& p, const std::array<float, kLanes>& limits, EightMoments& out) {
+  Lanes px, py, pz, limit, sums[kTerms] = {};
+  load(p.x.data(), px);
+  load(p.y.data(), py);
+  load(p.z.data(), pz);
+  load(limits.data(), limit);
+  const Lanes one = Lanes{} + 1.0f;
+  for (std::size_t k = 0; k < c.num; ++k) {
+    Lanes x = c.x[k] - px, y = c.y[k] - py, z = c.z[k] - pz;
+    const LaneMask inside = x * x + y * y + z * z <= limit;
+    x = inside ? x : Lanes{};
+    y = inside ? y : Lanes{};
+    z = inside ? z : Lanes{};
+    add_terms(x, y, z, sums);
+    sums[9] += inside ? one : Lanes{};
+  }
+  for (std::size_t t = 0; t < kTerms; ++t) store(sums[t], out.sum[t].data());
 }
 
 constexpr float kCos[kLanes] = {1, 0.70710678f, 0, -0.70710678f, -1, -0.70710678f, 0, 0.70710678f};
@@ -378,6 +393,7 @@ CHIARO_AVX2 void nearest_avx2(const CandidateView& c, const EightPoints& p, Near
   for (std::size_t i = 0; i < kNearest; ++i) _mm256_storeu_ps(out.squared[i], best[i]);
 }
 CHIARO_AVX2 void moments_avx2(const NeighbourRow& row, float limit, Moments& out) { moments_body(row, limit, out); }
+CHIARO_AVX2 void eight_moments_avx2(const CandidateView& c, const EightPoints& p, const std::array<float, kLanes>& limits, EightMoments& out) { eight_moments_body(c, p, limits, out); }
 CHIARO_AVX2 bool lines_avx2(const NeighbourRow& row, const NeighbourNormals& normals, const TangentFrame& frame, TangentLines& out) { return lines_body(row, normals, frame, out); }
 CHIARO_AVX2 bool beyond_avx2(const TangentLines& lines, float x, float y, float distance, std::size_t num) { return beyond_body(lines, x, y, distance, num); }
 CHIARO_AVX2 void directions_avx2(const float* wx, const float* wy, std::size_t num, float half, EightLines& out) { lines_of_directions(wx, wy, num, half, out); }
@@ -388,9 +404,17 @@ CHIARO_AVX2 std::size_t line_before_avx2(const float* wx, const float* wy, std::
 
 void use_wide_vectors(bool use) {
 #if defined(CHIARO_AVX2)
-  wide_vectors = use && has_avx2();
+  use_avx2 = use && has_avx2();
 #else
   static_cast<void>(use);
+#endif
+}
+
+bool wide_vectors() {
+#if defined(CHIARO_AVX2)
+  return use_avx2;
+#else
+  return false;
 #endif
 }
 
@@ -412,7 +436,7 @@ void NeighbourRow::pad() {
 
 void nearest_of(const CandidateView& c, const EightPoints& p, Nearest& out) {
 #if defined(CHIARO_AVX2)
-  if (wide_vectors) return nearest_avx2(c, p, out);
+  if (use_avx2) return nearest_avx2(c, p, out);
 #endif
   nearest_body(c, p, out);
 }
@@ -420,7 +444,7 @@ void nearest_of(const CandidateView& c, const EightPoints& p, Nearest& out) {
 void select_near_box(const CandidateView& c, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out) {
   grow(out, c.num + 2 * kLanes);
 #if defined(CHIARO_AVX2)
-  out.num = wide_vectors ? select_avx2(c, 0, c.num, min, max, limit, 0, out) : select_plain(c, 0, c.num, min, max, limit, 0, out);
+  out.num = use_avx2 ? select_avx2(c, 0, c.num, min, max, limit, 0, out) : select_plain(c, 0, c.num, min, max, limit, 0, out);
 #else
   out.num = select_plain(c, 0, c.num, min, max, limit, 0, out);
 #endif
@@ -429,7 +453,7 @@ void select_near_box(const CandidateView& c, const std::array<float, 3>& min, co
 
 void select_from_tree(const CandidateView& c, const BoxLevels& levels, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out) {
 #if defined(CHIARO_AVX2)
-  if (wide_vectors) return tree_avx2(c, levels, min, max, limit, out);
+  if (use_avx2) return tree_avx2(c, levels, min, max, limit, out);
 #endif
   visit_tree(levels, [&](const EightBoxes& b) { return boxes_plain(b, min, max, limit); },
              [&](std::uint32_t group) {
@@ -441,7 +465,7 @@ void select_from_tree(const CandidateView& c, const BoxLevels& levels, const std
 void collect_within(const CandidateView& c, float x, float y, float z, float limit, NeighbourRow& out) {
   out.reserve(c.num);
 #if defined(CHIARO_AVX2)
-  out.num = wide_vectors ? collect_avx2(c, x, y, z, limit, out) : collect_plain(c, x, y, z, limit, out);
+  out.num = use_avx2 ? collect_avx2(c, x, y, z, limit, out) : collect_plain(c, x, y, z, limit, out);
 #else
   out.num = collect_plain(c, x, y, z, limit, out);
 #endif
@@ -451,7 +475,7 @@ void collect_within(const CandidateView& c, float x, float y, float z, float lim
 Moments moments_within(const NeighbourRow& row, float limit) {
   Moments out;
 #if defined(CHIARO_AVX2)
-  if (wide_vectors) {
+  if (use_avx2) {
     moments_avx2(row, limit, out);
     return out;
   }
@@ -460,10 +484,17 @@ Moments moments_within(const NeighbourRow& row, float limit) {
   return out;
 }
 
+void moments_of(const CandidateView& c, const EightPoints& p, const std::array<float, kLanes>& limits, EightMoments& out) {
+#if defined(CHIARO_AVX2)
+  if (use_avx2) return eight_moments_avx2(c, p, limits, out);
+#endif
+  eight_moments_body(c, p, limits, out);
+}
+
 EightLines nearest_lines(const float* wx, const float* wy, std::size_t num, float half) {
   EightLines out;
 #if defined(CHIARO_AVX2)
-  if (wide_vectors) {
+  if (use_avx2) {
     directions_avx2(wx, wy, num, half, out);
     return out;
   }
@@ -474,7 +505,7 @@ EightLines nearest_lines(const float* wx, const float* wy, std::size_t num, floa
 
 std::size_t line_before(const float* wx, const float* wy, std::size_t num, float x, float y) {
 #if defined(CHIARO_AVX2)
-  if (wide_vectors) return line_before_avx2(wx, wy, num, x, y);
+  if (use_avx2) return line_before_avx2(wx, wy, num, x, y);
 #endif
   return line_before_body(wx, wy, num, x, y);
 }
@@ -498,14 +529,14 @@ bool TangentLines::make(const NeighbourRow& row, const NeighbourNormals& normals
   if (u.size() < row.x.size())
     for (std::vector<float>* values : {&u, &v, &wx, &wy}) values->resize(row.x.size());
 #if defined(CHIARO_AVX2)
-  if (wide_vectors) return lines_avx2(row, normals, frame, *this);
+  if (use_avx2) return lines_avx2(row, normals, frame, *this);
 #endif
   return lines_body(row, normals, frame, *this);
 }
 
 bool TangentLines::is_beyond(float x, float y, float distance, std::size_t num) const {
 #if defined(CHIARO_AVX2)
-  if (wide_vectors) return beyond_avx2(*this, x, y, distance, num);
+  if (use_avx2) return beyond_avx2(*this, x, y, distance, num);
 #endif
   return beyond_body(*this, x, y, distance, num);
 }

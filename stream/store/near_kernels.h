@@ -1,5 +1,4 @@
-/// The inner loops of fitting surfels, eight numbers at a time: with AVX2 where the processor has it, else in halves. Both give the same bits, since each
-/// lane adds in one order and nothing is contracted. Internal to stream/store.
+/// The inner loops of fitting surfels, eight numbers at a time (see lanes.h). Internal to stream/store.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -68,6 +67,12 @@ void collect_within(const CandidateView& candidates, float x, float y, float z, 
 inline constexpr std::size_t kTerms = 10;
 using Moments = std::array<double, kTerms>;
 Moments moments_within(const NeighbourRow& row, float limit);
+
+/// The same for eight points at once, whose own spot is counted too: among the candidates within sqrt(limits), one limit a point; a negative one finds none.
+struct EightMoments {
+  std::array<std::array<float, kLanes>, kTerms> sum;
+};
+void moments_of(const CandidateView& candidates, const EightPoints& points, const std::array<float, kLanes>& limits, EightMoments& out);
 
 /// Lines of the plane are given as w, the point w / |w|^2 being the foot of the origin on the line: p is beyond it if w . p > 1. Lines half-way to neighbours
 /// bound the Voronoi cell of the origin. Here the first line that is met in each of eight directions, 45 degrees apart, the first repeated.

@@ -1,0 +1,142 @@
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "stream/store/neighbour_walk.h"
+#include "stream/store/plane_fit.h"
+
+namespace chiaro::stream {
+namespace {
+
+/// Normals are fitted at three nested radii. The widest one that still fits a plane as well as the narrowest does is taken: wide on flat ground, where it
+/// averages noise, narrow at edges and joints, which a wide one would round off (measured on the rendered tower, 0.8 mm of noise at 9 mm spacing, against
+/// one radius of 3.5 spacings: 95 % of errors below 18 instead of 26 degrees, median 1.5 instead of 1.4).
+constexpr std::size_t kScales = 3;
+constexpr float kScaleOfRadius[kScales] = {1.0f, 0.74f, 0.57f};
+constexpr double kPlaneGrowth = 1.35;   // residual of the wider plane over the narrowest one's that sampling alone explains
+
+/// The moments at each of the scales; only those that are asked for are summed. Floats lose a millionth, but products of two need care where the plane is
+/// thin: at worst some 0.001 degrees.
+template <class MomentsAt>
+Plane plane_of_scales(const MomentsAt& moments_at) {
+  std::size_t narrowest = kScales;
+  Moments m;
+  do m = moments_at(--narrowest);
+  while (narrowest > 0 && m[9] < kEnoughForPlane);
+  Plane best = plane_of(m);
+  if (narrowest == 0) return best;
+  if (best.line || best.isolated) return plane_of(moments_at(0));
+  const double limit = kPlaneGrowth * kPlaneGrowth * best.variance_off;
+  for (std::size_t s = 0; s < narrowest; ++s) {  // the widest first: on flat ground it is the answer
+    const Plane wider = plane_of(moments_at(s));
+    if (!wider.line && !wider.isolated && wider.variance_off <= limit) return wider;
+  }
+  return best;
+}
+
+class NormalFitter {
+ public:
+  static constexpr bool kNeedsNormals = false, kFitsGroups = true;
+  // The sixth neighbour is at 0.39 of the radius; this finds it for all but few points whose surroundings are sparser than the mean.
+  static constexpr float kNearShare = 0.6f;
+  NormalFitter(const HaloChunk& own, const FitOptions& options, std::vector<NormalFit>& fits) : own_(own), options_(options), fits_(fits) {}
+
+  bool fit_nearest(std::uint32_t, const std::array<float, kNearest>&, const CandidateView&, const Candidates&, float, float) { return false; }
+
+  /// What plane_of_scales() does, for the points of a group that have enough neighbours around them.
+  void fit_group(const SearchGroup& group, const CandidateView& view, std::array<bool, HaloChunk::kGroup>& fitted) {
+    for (std::uint32_t first = group.begin; first < group.end; first += kLanes) {
+      const std::uint32_t at = first - group.begin;
+      const EightPoints& points = group.points[at / kLanes];
+      const HaloChunk::FlatBox& box = group.boxes[at / kLanes];
+      const float most = *std::max_element(&group.radius[at], &group.radius[at] + kLanes);
+      select_near_box(view, box.min, box.max, square(most), wide_);
+      select_near_box(wide_.view(), box.min, box.max, square(kScaleOfRadius[kScales - 1] * most), narrow_);
+      EightMoments sums;
+      moments_of(narrow_.view(), points, limits(group, at, kScales - 1), sums);
+      const EightPlanes narrow = planes_of(sums);
+      moments_of(wide_.view(), points, limits(group, at, 0), sums);
+      EightPlanes planes = planes_of(sums);
+      const std::array<float, kLanes> number = sums.sum[kTerms - 1];
+      const auto as_flat = [&](std::size_t lane) { return planes.sure[lane] && planes.variance_off[lane] <= kPlaneGrowth * kPlaneGrowth * narrow.variance_off[lane]; };
+      unsigned rough = 0;
+      for (std::size_t lane = 0; lane < kLanes; ++lane) rough |= static_cast<unsigned>(!as_flat(lane)) << lane;
+      if (rough != 0) {
+        moments_of(wide_.view(), points, limits(group, at, 1), sums);
+        const EightPlanes middle = planes_of(sums);
+        for (std::size_t lane = 0; lane < kLanes; ++lane) {
+          if ((rough >> lane & 1) == 0) continue;
+          planes.take(lane, middle);
+          if (!as_flat(lane)) planes.take(lane, narrow);
+        }
+      }
+      const EightNormals normals = normals_of(planes);
+      for (std::size_t lane = 0; lane < kLanes && first + lane < group.end; ++lane) {
+        const bool all = group.radius[at + lane] > 0 && number[lane] <= static_cast<float>(options_.most + 1);
+        if (!all || !narrow.sure[lane] || !normals.clear[lane]) continue;
+        fits_[first + lane] = {Vec3d(normals.x[lane], normals.y[lane], normals.z[lane]).cast<float>(), false};
+        fitted[at + lane] = true;
+      }
+    }
+  }
+
+  bool fit_near(std::uint32_t i, const std::array<float, kNearest>&, const CandidateView& view, const Candidates&, float radius) {
+    collect_within(view, own_.x[i], own_.y[i], own_.z[i], radius * radius, row_);
+    if (row_.num > options_.most) return false;
+    const Plane plane = plane_of_scales([&](std::size_t s) { return moments_within(row_, radius * radius * kScaleOfRadius[s] * kScaleOfRadius[s]); });
+    if (plane.line) return false;
+    fits_[i] = normal_of(plane);
+    return true;
+  }
+
+  bool fit_one(std::uint32_t i, const NeighbourList& list, const Candidates&, bool last) {
+    const Plane plane = plane_of_scales([&](std::size_t s) {
+      Moments m{};
+      for (std::size_t k = 0; k < list.size(); ++k) {
+        const double x = static_cast<double>(list.x[k]), y = static_cast<double>(list.y[k]), z = static_cast<double>(list.z[k]);
+        const double terms[10] = {x, y, z, x * x, x * y, x * z, y * y, y * z, z * z, 1};
+        if (list.distance_squared[k] > list.radius * list.radius * kScaleOfRadius[s] * kScaleOfRadius[s] && s > 0) continue;
+        for (std::size_t t = 0; t < 10; ++t) m[t] += terms[t];
+      }
+      return m;
+    });
+    if (plane.line && !last) return false;
+    fits_[i] = normal_of(plane);
+    return true;
+  }
+
+ private:
+  static float square(float v) { return v * v; }
+  static std::array<float, kLanes> limits(const SearchGroup& group, std::uint32_t at, std::size_t scale) {
+    std::array<float, kLanes> limit;
+    for (std::size_t lane = 0; lane < kLanes; ++lane) limit[lane] = group.radius[at + lane] > 0 ? square(kScaleOfRadius[scale] * group.radius[at + lane]) : -1;
+    return limit;
+  }
+
+  const HaloChunk& own_;
+  const FitOptions& options_;
+  std::vector<NormalFit>& fits_;
+  Selection wide_, narrow_;
+  NeighbourRow row_;
+};
+
+}  // namespace
+
+void fit_normals_of(Neighbourhood& around, const FitOptions& options, std::vector<NormalFit>& fits) {
+  fits.assign(around.own().size, {});
+  NormalFitter fitter(around.own(), options, fits);
+  Walker<NormalFitter>(around, options, fitter).run();
+}
+
+Vec3f plane_normal(const SurfelBlock& b, std::size_t count) {
+  Moments m{};
+  m[9] = static_cast<double>(count) - 1;
+  for (std::size_t i = 1; i < count; ++i) {
+    const double x = b.x[i] - b.x[0], y = b.y[i] - b.y[0], z = b.z[i] - b.z[0];
+    const double terms[9] = {x, y, z, x * x, x * y, x * z, y * y, y * z, z * z};
+    for (std::size_t t = 0; t < 9; ++t) m[t] += terms[t];
+  }
+  return normal_of(plane_of(m)).normal;
+}
+
+}  // namespace chiaro::stream
