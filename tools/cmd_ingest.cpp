@@ -90,6 +90,7 @@ int run_ingest(std::span<const std::string> args, Console& console) {
   options.unit = unit;
   options.normals = normal_source(normals);
   const bool reused = is_up_to_date(out, files, options);
+  if (reused) remove_leftovers(out + ".part", out);
   MemoryBudget budget(budget_bytes(memory_bytes));
   const stream::Manifest manifest = reused ? stream::Store(out).manifest() : stream::build_store(files, out, options, budget, console.report());
   print(out, manifest, reused, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(), console);

@@ -171,8 +171,9 @@ void write_text(const fs::path& path, std::string_view text) {
 void sync_folder(const fs::path& folder) {
   const int fd = ::open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
   if (fd < 0) return;
-  ::fsync(fd);
+  const int code = ::fsync(fd) == 0 ? 0 : errno;
   ::close(fd);
+  if (code != 0 && code != EINVAL && code != EROFS && code != ENOTSUP) fail(folder, "cannot be synced to disk", code);  // these: not on this file system
 }
 
 void make_folder(const fs::path& folder) {
@@ -190,20 +191,41 @@ std::uint64_t free_disk_bytes(const fs::path& path) {
   return static_cast<std::uint64_t>(info.f_bavail) * info.f_frsize;
 }
 
+namespace {
+
+fs::path old_path(const fs::path& path) { return path.string() + ".old"; }
+
+void move_aside_and_rename(const fs::path& part, const fs::path& path) {
+  if (::rename(path.c_str(), old_path(path).c_str()) != 0) fail(path, "cannot be moved aside", errno);
+  if (::rename(part.c_str(), path.c_str()) == 0) return;
+  const int reason = errno;
+  ::rename(old_path(path).c_str(), path.c_str());
+  fail(path, "cannot be renamed into place", reason);
+}
+
+}  // namespace
+
 void publish_folder(const fs::path& part, const fs::path& path) {
   sync_folder(part);
-  const fs::path old = path.string() + ".old";
   std::error_code code;
-  fs::remove_all(old, code);
-  const bool had_old = fs::exists(path);
-  if (had_old && ::rename(path.c_str(), old.c_str()) != 0) fail(path, "cannot be moved aside", errno);
-  if (::rename(part.c_str(), path.c_str()) != 0) {
-    const int reason = errno;
-    if (had_old) ::rename(old.c_str(), path.c_str());
-    fail(path, "cannot be renamed into place", reason);
+  fs::remove_all(old_path(path), code);
+  if (!fs::exists(path)) {
+    if (::rename(part.c_str(), path.c_str()) != 0) fail(path, "cannot be renamed into place", errno);
+    return sync_folder(path.parent_path());
+  }
+  // Both change places in one step, where the file system can do that, so that there is one at any moment.
+  if (::renameat2(AT_FDCWD, part.c_str(), AT_FDCWD, path.c_str(), RENAME_EXCHANGE) != 0) {
+    if (errno != EINVAL && errno != ENOSYS && errno != ENOTSUP) fail(path, "cannot be renamed into place", errno);
+    move_aside_and_rename(part, path);
   }
   sync_folder(path.parent_path());
-  fs::remove_all(old, code);
+  remove_leftovers(part, path);   // the older one is there now
+}
+
+void remove_leftovers(const fs::path& part, const fs::path& path) {
+  std::error_code code;
+  fs::remove_all(part, code);
+  fs::remove_all(old_path(path), code);
 }
 
 ScratchFolder::ScratchFolder(const fs::path& parent) {

@@ -86,8 +86,11 @@ void sync_folder(const std::filesystem::path& folder);
 void make_folder(const std::filesystem::path& folder);
 /// Bytes free for this user on the disk of `path` (its nearest existing parent).
 std::uint64_t free_disk_bytes(const std::filesystem::path& path);
-/// Publishes a finished folder: syncs `part`, renames it to `path`, syncs the parent. An existing `path` is replaced only at the moment of the rename.
+/// Publishes a finished folder: syncs `part`, renames it to `path`, syncs the parent. An existing `path` is replaced in one step (in two on file systems that
+/// cannot exchange names, such as NFS). throws Error.
 void publish_folder(const std::filesystem::path& part, const std::filesystem::path& path);
+/// Removes what a publication that was killed has left beside a finished `path`.
+void remove_leftovers(const std::filesystem::path& part, const std::filesystem::path& path);
 /// A temporary folder, removed with its content when the object goes. For tests and scratch data.
 class ScratchFolder {
  public:
