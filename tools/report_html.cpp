@@ -142,7 +142,7 @@ void tiles(Page& page, const ReportData& d) {
   page.open("div", "class=\"tiles\"");
   tile(page, counted(d.count("points_in")), "points read");
   tile(page, counted(d.count("points_out")), "points exported");
-  tile(page, percent(d.coverage()), concat("of the points were seen and have an ", what));
+  tile(page, percent(d.coverage()), concat("of the points were seen and have ", d.solved_lights ? "an albedo" : "a colour"));
   tile(page, counted(d.count("points_unseen")), "points no photograph saw well");
   tile(page, concat(d.photographs.size(), " of ", d.photographs.size() + d.photographs_left_out()), "photographs used");
   if (d.solved_lights && d.found.size() == 1) {
