@@ -35,7 +35,7 @@ TEST_F(Synth, AStatueComesOutWithinItsMemory) {
   std::cout << "statue: absolute " << e.absolute << ", scaled " << e.scaled << ", seen " << e.seen << " of " << e.points << ", flash " << flash << ", made in " << made.seconds << " s, "
             << (made.peak_bytes >> 20) << " MiB; run in " << ran.seconds << " s, " << (ran.peak_bytes >> 20) << " MiB\n";
   EXPECT_GT(e.seen, 9 * e.points / 10);
-  EXPECT_LE(e.absolute, 0.05);
+  EXPECT_LE(e.absolute, 0.02);   // measured 0.0125, of which the flash's calibration is 0.006
   EXPECT_NEAR(flash, 30, 0.03 * 30);
   EXPECT_LE(ran.peak_bytes, kMemory);
   EXPECT_LE(made.peak_bytes, 128u << 20);

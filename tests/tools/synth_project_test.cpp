@@ -77,7 +77,7 @@ TEST(SynthBody, RaysMeetTheSurfaceWhereItIs) {
         ASSERT_NEAR(hit->normal.norm(), 1, 1e-12);
         ASSERT_LT(hit->normal.dot(direction), 0.02) << kNames[s];   // faces the eye
       }
-    EXPECT_GT(hits, 1000) << kNames[s];
+    EXPECT_GT(hits, 500) << kNames[s];
   }
 }
 
@@ -85,8 +85,7 @@ TEST(SynthBody, NothingLiesBeforeWhatARayMeets) {
   // A walk in steps of half a millimetre along the ray never finds itself inside of the solid.
   for (const SynthKind kind : {SynthKind::kStatue, SynthKind::kWall}) {
     const SynthBody& body = body_of(kind);
-    SynthProjectOptions options = small();
-    for (const SynthView& view : synth_views(kind, options))
+    for (const SynthView& view : synth_views(kind, small()))
       for (int i = 0; i < 49; ++i) {
         const Vec3d in_camera((i % 7) / 7.0 - 0.45, (i / 7) / 7.0 - 0.45, 1), eye = view.pose.centre_in_world();
         const Vec3d direction = (view.pose.rotation_camera_from_world.transpose() * in_camera).normalized();
@@ -159,18 +158,18 @@ TEST(SynthRender, OneBounceInTheRoomIsTheSumOverItsSurface) {
   const SynthBody& body = body_of(SynthKind::kRoom);
   const Vec3d flash(3.4, 0.5, -0.3);
   const SynthLights lights{40, 0, 1};
-  const auto floor = body.hit({1.1, 0.3, 0}, Vec3d(0.1, 0.05, -1).normalized());
-  ASSERT_TRUE(floor);
+  const auto spot = body.hit({1.1, 0.3, 0}, Vec3d(0.1, 0.05, -1).normalized());
+  ASSERT_TRUE(spot);
   constexpr std::uint64_t kPoints = 60000;
   const SynthScene scene(parse_synth_spec("room"), kPoints);
   Vec3d sum = Vec3d::Zero();
   for (std::uint64_t i = 0; i < kPoints; ++i) {
     const SynthPoint q = scene.point(i);
     const BodyHit there{0, q.position, q.normal.cast<double>()};
-    const Vec3d way = q.position - floor->position;
-    const double r2 = way.squaredNorm(), here_cos = way.dot(floor->normal) / std::sqrt(r2), there_cos = -way.dot(there.normal) / std::sqrt(r2);
+    const Vec3d way = q.position - spot->position;
+    const double r2 = way.squaredNorm(), here_cos = way.dot(spot->normal) / std::sqrt(r2), there_cos = -way.dot(there.normal) / std::sqrt(r2);
     if (!(r2 > 1e-6 && here_cos > 1e-9 && there_cos > 1e-9)) continue;
-    const Vec3d start = floor->position + SynthBody::kLift * floor->normal, end = q.position + SynthBody::kLift * there.normal;
+    const Vec3d start = spot->position + SynthBody::kLift * spot->normal, end = q.position + SynthBody::kLift * there.normal;
     if (body.occluded(start, (end - start).normalized(), (end - start).norm())) continue;
     sum += flash_irradiance(body, lights, flash, there) / kPi * there_cos * here_cos / r2 * q.albedo.cast<double>();
   }
@@ -179,7 +178,7 @@ TEST(SynthRender, OneBounceInTheRoomIsTheSumOverItsSurface) {
   Vec3d mean = Vec3d::Zero(), squares = Vec3d::Zero();
   for (std::uint32_t i = 0; i < kPaths; ++i) {
     const auto r = uniform01x4(3, Purpose::kTest, i, 0);
-    const Vec3d light = incoming_by_one_path(body, lights, flash, *floor, static_cast<double>(r[0]), static_cast<double>(r[1]), 3, i, 0);
+    const Vec3d light = incoming_by_one_path(body, lights, flash, *spot, static_cast<double>(r[0]), static_cast<double>(r[1]), 3, i, 0);
     mean += light / kPaths;
     squares += light.cwiseProduct(light) / kPaths;
   }
@@ -194,14 +193,14 @@ TEST(SynthRender, LongPathsThatStandForManyKeepTheMean) {
   // Bounce by bounce the light in the closed room grows by less, and never falls.
   const SynthBody& body = body_of(SynthKind::kRoom);
   const Vec3d flash(3.4, 0.5, -0.3);
-  const auto floor = body.hit({1.1, 0.3, 0}, Vec3d(0, 0, -1));
-  ASSERT_TRUE(floor);
+  const auto spot = body.hit({1.1, 0.3, 0}, Vec3d(0, 0, -1));
+  ASSERT_TRUE(spot);
   double before = 0, gain_before = 1e9;
   for (const int bounces : {1, 2, 3, 5}) {
     double mean = 0;
     for (std::uint32_t i = 0; i < 40000; ++i) {
       const auto r = uniform01x4(3, Purpose::kTest, i, 0);
-      mean += incoming_by_one_path(body, {40, 0, bounces}, flash, *floor, static_cast<double>(r[0]), static_cast<double>(r[1]), 3, i, 0).mean() / 40000;
+      mean += incoming_by_one_path(body, {40, 0, bounces}, flash, *spot, static_cast<double>(r[0]), static_cast<double>(r[1]), 3, i, 0).mean() / 40000;
     }
     EXPECT_GT(mean, before) << bounces;
     EXPECT_LT(mean - before, gain_before) << bounces;
@@ -254,9 +253,9 @@ TEST_F(SynthProject, IsTheSameForTheSameSeedAndAnyThreads) {
     write(spec, name);
     return test::files_below(at(name));
   };
-  const auto one = files("statue:seed=3", 1, "one");
-  EXPECT_THAT(test::differences(one, files("statue:seed=3", 2, "two")), testing::IsEmpty());
-  const auto other = test::differences(one, files("statue:seed=4", 2, "other"));
+  const auto one = files("wall:seed=3", 1, "one");
+  EXPECT_THAT(test::differences(one, files("wall:seed=3", 2, "two")), testing::IsEmpty());
+  const auto other = test::differences(one, files("wall:seed=4", 2, "other"));
   EXPECT_THAT(other, testing::Contains("photos/photo_03.exr"));
   EXPECT_THAT(other, testing::Contains("cloud.ply"));
 }
@@ -280,8 +279,8 @@ TEST_F(SynthProject, HoldsWhatARunNeeds) {
 
 TEST_F(SynthProject, CamerasOfAMovedAndScaledSceneSeeTheSamePicture) {
   // Points of the scene fall on the same pixels, whatever the frame.
-  const SynthScene moved(parse_synth_spec("statue:scale=2.5,offset=1000"), 50), still(parse_synth_spec("statue"), 50);
-  const SynthProjectResult a = write("statue", "still"), b = write("statue:scale=2.5,offset=1000", "moved");
+  const SynthScene moved(parse_synth_spec("wall:scale=2.5,offset=1000"), 50), still(parse_synth_spec("wall"), 50);
+  const SynthProjectResult a = write("wall", "still"), b = write("wall:scale=2.5,offset=1000", "moved");
   EXPECT_NEAR(b.flash_intensity, 6.25 * a.flash_intensity, 1e-9);
   std::vector<std::string> notes;
   const auto cameras_a = stream::read_cameras(at("still/sparse"), notes), cameras_b = stream::read_cameras(at("moved/sparse"), notes);
