@@ -62,7 +62,7 @@ stream::Pose ring_pose(int k, int count, double far_m, double near_m, double hei
 /// Along the wall, at two heights and two distances, never square to it.
 stream::Pose wall_pose(int k, int count) {
   const double along = count > 1 ? static_cast<double>(k) / (count - 1) - 0.5 : 0.0, side = k % 2 ? 1 : -1;
-  const Vec3d target(2.6 * along, 0.55 * side, 0);
+  const Vec3d target(2.2 * along, 0.5 * side, 0);
   return look(target + Vec3d(0.9 * (k % 4 < 2 ? 1 : -1), -0.4 * side, k % 3 == 0 ? 2.9 : 2.2), target, {0, 1, 0});
 }
 

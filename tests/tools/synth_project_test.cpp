@@ -189,24 +189,36 @@ TEST(SynthRender, OneBounceInTheRoomIsTheSumOverItsSurface) {
   }
 }
 
-TEST(SynthRender, LongPathsThatStandForManyKeepTheMean) {
-  // Bounce by bounce the light in the closed room grows by less, and never falls.
+TEST(SynthRender, PathsThatStandForOthersKeepTheMean) {
+  // Two bounces are one, and one from where that one came: put together here without ending any path by chance.
   const SynthBody& body = body_of(SynthKind::kRoom);
   const Vec3d flash(3.4, 0.5, -0.3);
   const auto spot = body.hit({1.1, 0.3, 0}, Vec3d(0, 0, -1));
   ASSERT_TRUE(spot);
-  double before = 0, gain_before = 1e9;
-  for (const int bounces : {1, 2, 3, 5}) {
-    double mean = 0;
-    for (std::uint32_t i = 0; i < 40000; ++i) {
-      const auto r = uniform01x4(3, Purpose::kTest, i, 0);
-      mean += incoming_by_one_path(body, {40, 0, bounces}, flash, *spot, static_cast<double>(r[0]), static_cast<double>(r[1]), 3, i, 0).mean() / 40000;
-    }
-    EXPECT_GT(mean, before) << bounces;
-    EXPECT_LT(mean - before, gain_before) << bounces;
-    gain_before = mean - before;
-    before = mean;
+  constexpr std::uint32_t kPaths = 40000;
+  double mean[3] = {}, squares[3] = {};
+  const auto add = [&](int which, const Vec3d& light) {
+    mean[which] += light.mean() / kPaths;
+    squares[which] += light.mean() * light.mean() / kPaths;
+  };
+  for (std::uint32_t i = 0; i < kPaths; ++i) {
+    const auto r = uniform01x4(3, Purpose::kTest, i, 0), s = uniform01x4(3, Purpose::kTest, i, 1);
+    const auto path = [&](int bounces, const BodyHit& from, const std::array<float, 4>& square) {
+      return incoming_by_one_path(body, {40, 0, bounces}, flash, from, static_cast<double>(square[0]), static_cast<double>(square[1]), 3, i, 0);
+    };
+    add(0, path(1, *spot, r));
+    add(1, path(2, *spot, r));
+    const double radius = std::sqrt(static_cast<double>(s[0])), phi = 2 * kPi * static_cast<double>(s[1]);
+    const Vec3d direction(radius * std::cos(phi), radius * std::sin(phi), std::sqrt(1 - static_cast<double>(s[0])));   // about the floor's normal
+    const auto next = body.hit(spot->position + SynthBody::kLift * spot->normal, direction.normalized());
+    ASSERT_TRUE(next);
+    const Vec3d light = Vec3d::Constant(flash_irradiance(body, {40, 0, 0}, flash, *next) / kPi) + path(1, *next, {s[2], s[3], 0, 0});
+    add(2, synth_albedo(next->position).cast<double>().cwiseProduct(light));
   }
+  const auto variance = [&](int which) { return (squares[which] - mean[which] * mean[which]) / kPaths; };
+  const double sigma = std::sqrt(variance(1) + variance(2));
+  EXPECT_NEAR(mean[1], mean[2], 4 * sigma);
+  EXPECT_GT(mean[1] - mean[0], 8 * sigma);   // the second bounce is there to be seen
 }
 
 TEST(SynthRender, NoiseHasTheVarianceThatIsDeclared) {
