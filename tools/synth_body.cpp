@@ -43,22 +43,26 @@ Span within_box(const Vec3d& origin, const Vec3d& direction, const Vec3d& min, c
   return span;
 }
 
-/// Where f(t) falls below 0 on the span, f being the height over a surface that falls at most by `steepest` a metre of the ray; < 0: nowhere.
-/// Steps never pass over a crossing but for details under kFinestStep; the crossing is then bisected.
+/// Height over the surface, and how fast it can fall from here on, a metre of the ray; not positive: it never will.
+struct Clearance {
+  double height, falls;
+};
+
+/// Where the height falls below 0 on the span; < 0: nowhere. Steps never pass over a crossing but for details under kFinestStep; the crossing is then bisected.
 template <class F>
-double march(const Span& span, double steepest, const F& f) {
+double march(const Span& span, const F& clearance) {
   double t = span.from, before = t;
   while (true) {
-    const double height = f(t);
-    if (height < 0) break;
-    if (t >= span.to) return -1;
+    const Clearance here = clearance(t);
+    if (here.height < 0) break;
+    if (t >= span.to || !(here.falls > 0)) return -1;
     before = t;
-    t = std::min(span.to, t + std::max(height / steepest, kFinestStep));
+    t = std::min(span.to, t + std::max(here.height / here.falls, kFinestStep));
   }
   double outside = before, inside = t;
   while (inside - outside > kCrossing) {
     const double middle = (outside + inside) / 2;
-    (f(middle) < 0 ? inside : outside) = middle;
+    (clearance(middle).height < 0 ? inside : outside) = middle;
   }
   return outside;
 }
@@ -145,11 +149,13 @@ class StatueBody final : public SynthBody {
   double first(const Vec3d& origin, const Vec3d& direction, double max_distance) const {
     const Span span = within_ellipsoid(origin, direction, table_.axes(), max_distance);
     if (span.empty()) return -1;
-    // |p| - r(p / |p|) changes by at most 1 along the radius and by |grad r| / |p| across it; outside of the statue |p| >= r.
-    const double steepest = std::sqrt(1 + table_.steepest() * table_.steepest());
-    return march(span, steepest, [&](double t) {
+    // |p| - r(p / |p|) grows by c along the radius, c being the cosine between ray and radius, and falls by at most s sqrt(1 - c^2) across it, s = max |grad r| / r,
+    // as |p| >= r outside of the statue. c only grows along a ray: c = -1 / sqrt(1 + s^2), where the fall is steepest, may lie ahead or be passed.
+    const double s = table_.steepest(), most = std::sqrt(1 + s * s);
+    return march(span, [&](double t) {
       const Vec3d p = origin + t * direction;
-      return p.norm() - table_(p);
+      const double r = p.norm(), c = p.dot(direction) / r;
+      return Clearance{r - table_(p), c * most > -1 ? s * std::sqrt(std::max(0.0, 1 - c * c)) - c : most};
     });
   }
   RadiusTable table_;
@@ -173,10 +179,10 @@ class WallBody final : public SynthBody {
     const Vec3d half(kWallWidth / 2, kWallHeight / 2, 0);
     const Span span = within_box(origin, direction, -half - Vec3d(0, 0, 1e-9), half + Vec3d(0, 0, kHighest), max_distance);
     if (span.empty()) return -1;
-    const double falls = std::max(1e-3, kSteepest * direction.head<2>().norm() - direction.z());
-    return march(span, falls, [&](double t) {
+    const double falls = kSteepest * direction.head<2>().norm() - direction.z();
+    return march(span, [&](double t) {
       const Vec3d p = origin + t * direction;
-      return p.z() - wall_relief(p.x(), p.y()).height;
+      return Clearance{p.z() - wall_relief(p.x(), p.y()).height, falls};
     });
   }
 };

@@ -231,13 +231,14 @@ SynthProjectResult write_synth_project(const SynthScene& scene, const fs::path& 
   const SynthLights lights = synth_lights(spec.kind, options);
   const std::vector<SynthView> views = synth_views(spec.kind, options);
   const fs::path absolute = fs::absolute(given).lexically_normal(), folder = absolute.has_filename() ? absolute : absolute.parent_path();
-  check_space(folder, options);
   PartFolder part(folder);
   const std::unique_ptr<SynthBody> body = make_body(spec.kind);
   if (!body->is_closed()) make_folder(part.path() / "masks");
 
   SynthProjectResult result;
+  check_space(folder, options);
   result.cloud = write_synth(scene, part.path() / options.cloud, options.with_albedo, report);
+  check_space(folder, options);   // the cloud may have taken it
   result.photographs = options.photographs;
   // A scene twice as large takes four times the flash for the same picture.
   result.flash_intensity = lights.flash_intensity * spec.scale * spec.scale;

@@ -37,7 +37,7 @@ std::vector<SynthView> synth_views(SynthKind kind, const SynthProjectOptions& op
 /// Writes `folder`: the cloud, photos/photo_K.exr (half, linear), masks/photo_K.png (not for the room, which fills every picture), sparse/ (COLMAP text),
 /// truth/lights.json, and project.toml, which `chiaro run` takes as it is. The same bytes for any number of threads. Memory: a block of points, then rows of one
 /// photograph and its mask. Nothing appears at `folder` before all is written.
-/// throws Error (`folder` exists and is not empty; no space: checked before anything is written), UsageError, Cancelled.
+/// throws Error (`folder` exists and is not empty; no space: cloud and photographs are each checked before they are written), UsageError, Cancelled.
 SynthProjectResult write_synth_project(const SynthScene& scene, const std::filesystem::path& folder, const SynthProjectOptions& options, Reporter& report);
 
 }  // namespace chiaro::tools

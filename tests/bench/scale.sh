@@ -3,7 +3,7 @@
 # error against the known albedo.
 #   usage: bash tests/bench/scale.sh [POINTS…]        default: 1000000 10000000
 # Environment: CHIARO (executable), MEMORY (512MiB), PHOTOGRAPHS (20), SPEC (statue:noise=0.0003,normals=false), OUT (folder for scratch data, scale.out), KEEP=1.
-# Disk: about 100 bytes a point, one size at a time.
+# Needs python3. Disk: about 200 bytes a point and a gigabyte for the photographs' rasters, one size at a time.
 set -euo pipefail
 root=$(cd "$(dirname "$0")/../.." && pwd)
 chiaro=${CHIARO:-$root/build/release/chiaro}

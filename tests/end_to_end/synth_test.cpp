@@ -26,7 +26,7 @@ class Synth : public RunTest {
 
 TEST_F(Synth, AStatueComesOutWithinItsMemory) {
   constexpr std::uint64_t kMemory = 256u << 20;
-  const ProcessResult made = make({"statue:noise=0.0003,normals=false", "--points", "200000", "--photographs", "6"});
+  const ProcessResult made = make({"statue:noise=0.0003,normals=false", "--points", "200000", "--photographs", "6", "--size", "480x360"});
   ASSERT_EQ(made.code, 0) << made.err;
   const ProcessResult ran = run("out", {"--memory", std::to_string(kMemory)});
   ASSERT_EQ(ran.code, 0) << ran.err;

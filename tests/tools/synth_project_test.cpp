@@ -101,6 +101,35 @@ TEST(SynthBody, NothingLiesBeforeWhatARayMeets) {
   }
 }
 
+TEST(SynthBody, RaysThatLeaveASurfaceMeetItAgainOnlyWhereItIsInTheWay) {
+  // Against a walk in steps of a millimetre; rays that pass within a tenth of one are left out, as either answer is right.
+  for (const char* name : {"statue", "wall"}) {
+    const bool wall = name == std::string("wall");
+    const SynthScene scene(parse_synth_spec(name), 800);
+    const SynthBody& body = body_of(wall ? SynthKind::kWall : SynthKind::kStatue);
+    int blocked = 0, free = 0;
+    for (std::uint64_t i = 0; i < 800; ++i) {
+      const SynthPoint from = scene.point(i);
+      const auto r = uniform01x4(1, Purpose::kTest, i, 0);
+      const Vec3d normal = from.normal.cast<double>(), start = from.position + SynthBody::kLift * normal;
+      Vec3d direction(2 * static_cast<double>(r[0]) - 1, 2 * static_cast<double>(r[1]) - 1, 2 * static_cast<double>(r[2]) - 1);
+      direction.normalize();
+      if (direction.dot(normal) < 0.05) continue;
+      double lowest = 1;
+      for (double t = 2e-3; t < 1; t += 1e-3) {
+        const Vec3d p = start + t * direction;
+        if (wall && (std::abs(p.x()) > kWallWidth / 2 || std::abs(p.y()) > kWallHeight / 2)) break;
+        lowest = std::min(lowest, wall ? p.z() - wall_relief(p.x(), p.y()).height : p.norm() - statue_radius(p.normalized()).radius);
+      }
+      if (std::abs(lowest) < 1e-4) continue;
+      ASSERT_EQ(body.occluded(start, direction), lowest < 0) << name << " " << i << " lowest " << lowest;
+      ++(lowest < 0 ? blocked : free);
+    }
+    EXPECT_GT(blocked, 10) << name;
+    EXPECT_GT(free, 50) << name;
+  }
+}
+
 TEST(SynthRender, FlashAloneIsAlbedoOverPiTimesIrradiance) {
   SynthProjectOptions options = small();
   options.width_px = 65;    // odd: the middle pixel's centre is on the axis
