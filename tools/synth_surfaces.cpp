@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <numbers>
+#include <vector>
 
 #include "stream/base/rng.h"
 
@@ -123,17 +124,37 @@ std::array<double, 2> smooth_step(double from, double to, double x) {
   return {t * t * (3 - 2 * t), t > 0 && t < 1 ? 6 * t * (1 - t) / (to - from) : 0.0};
 }
 
+constexpr std::int64_t kCourses = 24, kBricks = 12;   // of a table that holds the wall, to each side of its middle
+
+double draw_proud(std::int64_t course, std::int64_t brick) {
+  constexpr double kProud = 0.012;
+  return kProud + 0.003 * (2 * static_cast<double>(uniform01(7, Purpose::kSynth, static_cast<std::uint64_t>(course * 4096 + brick), 0)) - 1);
+}
+
+std::vector<double> make_prouds() {
+  std::vector<double> prouds;
+  for (std::int64_t course = -kCourses; course < kCourses; ++course)
+    for (std::int64_t brick = -kBricks; brick < kBricks; ++brick) prouds.push_back(draw_proud(course, brick));
+  return prouds;
+}
+
+/// How far a brick stands out. Rays ask for it far more often than there are bricks.
+double brick_proud(std::int64_t course, std::int64_t brick) {
+  static const std::vector<double> kProuds = make_prouds();
+  if (course < -kCourses || course >= kCourses || brick < -kBricks || brick >= kBricks) return draw_proud(course, brick);
+  return kProuds[static_cast<std::size_t>((course + kCourses) * 2 * kBricks + brick + kBricks)];
+}
+
 }  // namespace
 
 ReliefHeight wall_relief(double x, double y) {
-  constexpr double kLength = 0.25, kCourse = 0.075, kProud = 0.012, kJointHalf = 0.004, kEdge = 0.009;
-  const double course = std::floor(y / kCourse), shifted = x / kLength + (std::fmod(std::abs(course), 2) != 0 ? 0.5 : 0.0), brick = std::floor(shifted);
+  constexpr double kLength = 0.25, kCourse = 0.075, kJointHalf = 0.004, kEdge = 0.009;
+  const double course = std::floor(y / kCourse), shifted = x / kLength + (course != 2 * std::floor(course / 2) ? 0.5 : 0.0), brick = std::floor(shifted);
   const double fx = (shifted - brick) * kLength, fy = y - course * kCourse;
   // Signed distance from the nearest joint's middle, both ways.
   const double ax = std::min(fx, kLength - fx), ay = std::min(fy, kCourse - fy), sx = fx < kLength / 2 ? 1 : -1, sy = fy < kCourse / 2 ? 1 : -1;
   const auto bx = smooth_step(kJointHalf, kJointHalf + kEdge, ax), by = smooth_step(kJointHalf, kJointHalf + kEdge, ay);
-  const auto id = static_cast<std::uint64_t>(static_cast<std::int64_t>(course) * 4096 + static_cast<std::int64_t>(brick));
-  const double proud = kProud + 0.003 * (2 * static_cast<double>(uniform01(7, Purpose::kSynth, id, 0)) - 1);
+  const double proud = brick_proud(static_cast<std::int64_t>(course), static_cast<std::int64_t>(brick));
   return {proud * bx[0] * by[0], proud * bx[1] * sx * by[0], proud * bx[0] * by[1] * sy};
 }
 

@@ -1,0 +1,45 @@
+/// `chiaro synth --project` and then `chiaro run`, as a user would: the whole pipeline on scenes of any size with a known answer. Label slow.
+#include <iostream>
+
+#include "tests/support/run_fixture.h"
+
+namespace chiaro::test {
+namespace {
+
+class Synth : public RunTest {
+ protected:
+  Synth() : RunTest(std::filesystem::path()) {}   // too much for a disk in memory
+
+  ProcessResult make(const std::vector<std::string>& more) const {
+    std::vector<std::string> words{"synth"};
+    words.insert(words.end(), more.begin(), more.end());
+    words.insert(words.end(), {"--project", at("scene").string(), "--albedo"});
+    return chiaro(words);
+  }
+  std::vector<std::array<double, 3>> truth() const {
+    const PlyVertices cloud = read_ply(at("scene/cloud.ply"));
+    std::vector<std::array<double, 3>> values(cloud.size());
+    for (std::size_t i = 0; i < values.size(); ++i) values[i] = {cloud.column("albedo_r")[i], cloud.column("albedo_g")[i], cloud.column("albedo_b")[i]};
+    return values;
+  }
+};
+
+TEST_F(Synth, AStatueComesOutWithinItsMemory) {
+  constexpr std::uint64_t kMemory = 256u << 20;
+  const ProcessResult made = make({"statue:noise=0.0003,normals=false", "--points", "200000", "--photographs", "6", "--size", "480x360"});
+  ASSERT_EQ(made.code, 0) << made.err;
+  const ProcessResult ran = run("out", {"--memory", std::to_string(kMemory)});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  const AlbedoError e = albedo_error(read_ply(at("out/albedo.ply")), truth());
+  const double flash = json("out/lights.json").at("acquisitions").at(0)["flash_intensity"].get<double>();
+  std::cout << "statue: absolute " << e.absolute << ", scaled " << e.scaled << ", seen " << e.seen << " of " << e.points << ", flash " << flash << ", made in " << made.seconds << " s, "
+            << (made.peak_bytes >> 20) << " MiB; run in " << ran.seconds << " s, " << (ran.peak_bytes >> 20) << " MiB\n";
+  EXPECT_GT(e.seen, 9 * e.points / 10);
+  EXPECT_LE(e.absolute, 0.02);   // measured 0.0125, of which the flash's calibration is 0.006
+  EXPECT_NEAR(flash, 30, 0.03 * 30);
+  EXPECT_LE(ran.peak_bytes, kMemory);
+  EXPECT_LE(made.peak_bytes, 128u << 20);
+}
+
+}  // namespace
+}  // namespace chiaro::test
