@@ -148,6 +148,34 @@ TEST_F(ExecutableTest, MakesDescribesVerifiesAndExportsAStore) {
   EXPECT_THAT(broken.err, HasSubstr("problem"));
 }
 
+TEST_F(ExecutableTest, RepairsAStoreAndNamesWhatIsLost) {
+  write("cloud.ply", cloud(2000));
+  ASSERT_EQ(run("ingest cloud.ply --out s.chiaro").code, 0);
+  const Ran whole = run("verify s.chiaro --repair");
+  EXPECT_EQ(whole.code, 0);
+  EXPECT_THAT(whole.out, testing::Not(HasSubstr("repaired")));
+  const std::string index = read_text(scratch_.path() / "s.chiaro/index.bin");
+  std::string bytes = index;
+  bytes[50] = static_cast<char>(bytes[50] ^ 4);
+  write("s.chiaro/index.bin", bytes);
+  EXPECT_EQ(run("verify s.chiaro").code, 1);
+  const Ran repaired = run("verify s.chiaro --repair");
+  EXPECT_EQ(repaired.code, 0) << repaired.err;
+  EXPECT_THAT(repaired.out, testing::AllOf(HasSubstr("repaired: s.chiaro/index.bin"), HasSubstr("s.chiaro: whole")));
+  EXPECT_EQ(read_text(scratch_.path() / "s.chiaro/index.bin"), index);
+  // Geometry of a leaf is kept nowhere else.
+  bytes = read_text(scratch_.path() / "s.chiaro/geometry.bin");
+  bytes[100] = static_cast<char>(bytes[100] ^ 4);
+  write("s.chiaro/geometry.bin", bytes);
+  const Ran lost = run("verify s.chiaro --repair");
+  EXPECT_EQ(lost.code, 1);
+  EXPECT_THAT(lost.out, testing::AllOf(HasSubstr("lost: s.chiaro/geometry.bin: chunk"), HasSubstr("points are lost"), HasSubstr("to do: "), HasSubstr("cloud.ply")));
+  EXPECT_EQ(read_text(scratch_.path() / "s.chiaro/geometry.bin"), bytes);
+  const std::string out = run("verify s.chiaro --repair --json").out;
+  const std::string result = out.substr(out.find("{\"event\":\"result\""));
+  EXPECT_GT(nlohmann::json::parse(result.substr(0, result.find('\n')))["points_lost"], 0);
+}
+
 TEST_F(ExecutableTest, LeavesAFolderAloneThatIsNoStore) {
   write("cloud.ply", cloud(100));
   fs::create_directory(scratch_.path() / "photos");
