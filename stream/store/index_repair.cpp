@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <map>
 #include <tuple>
 
 #include "stream/base/error.h"
@@ -18,6 +19,8 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr std::uint64_t kAnySize = std::uint64_t{1} << 62;  // files may be short: their chunks are looked at one by one
+
+constexpr std::size_t kMostMade = 16;  // nodes of at most 768 KiB that are held at a time
 
 MortonKey first_key(const ChunkEntry& e) { return cell_begin(e.morton, e.level); }
 
@@ -106,7 +109,8 @@ class IndexRepairer {
       } catch (const Error&) {
         continue;
       }
-      if (!agrees(entries[fix.at / kIndexRecordBytes])) continue;
+      const std::size_t i = fix.at / kIndexRecordBytes;
+      if (!agrees(entries[i]) && !follows(entries, i)) continue;
       if (answer) return std::nullopt;
       answer = std::move(entries);
     }
@@ -126,6 +130,19 @@ class IndexRepairer {
     ChunkEntry same = e;
     set_tight_bounds(same, blocks_of(e));
     return same.tight_min == e.tight_min && same.tight_max == e.tight_max;
+  }
+
+  // Is an inner node, whose own bytes may be damaged, what its children make?
+  bool follows(const std::vector<ChunkEntry>& entries, std::size_t i) const {
+    const ChunkEntry& e = entries[i];
+    if (e.is_leaf() || !manifest_) return false;
+    for (std::uint32_t c = e.first_child; c < e.first_child + e.num_children; ++c)
+      if (checksum_at(geometry_, entries[c].offset, geometry_bytes(entries[c].count)) != entries[c].geometry_crc) return false;
+    const ChunkEntry made = make_inner_node(*manifest_, entries, e, [&](std::uint32_t c) { return blocks_of(entries[c]); }, kMaxChunkSurfels, static_cast<int>(e.source_offset)).entry;
+    std::byte expected[kIndexRecordBytes], found[kIndexRecordBytes];
+    encode_entry(made, expected);
+    encode_entry(e, found);
+    return std::memcmp(expected, found, kIndexRecordBytes) == 0;
   }
 
   // trust_checksums: where those of a leaf do not fit, its bytes are damaged and not its record.
@@ -193,7 +210,11 @@ class IndexRepairer {
   void make_inner(std::vector<ChunkEntry>& entries, std::vector<ChunkEntry>& old_inner, std::uint64_t end) {
     const auto by_cell = [](const ChunkEntry& a, const ChunkEntry& b) { return std::tie(a.level, a.morton) < std::tie(b.level, b.morton); };
     std::sort(old_inner.begin(), old_inner.end(), by_cell);
-    const ReadBlocks read = [&](std::uint32_t chunk) { return blocks_of(entries[chunk]); };
+    const ReadBlocks read = [&](std::uint32_t chunk) {
+      const auto made = made_.find(chunk);
+      return made != made_.end() ? made->second : blocks_of(entries[chunk]);
+    };
+    made_.clear();
     report_.begin("rebuild index", entries.size(), "chunks");
     std::uint64_t done = 0;
     for (std::size_t level_end = entries.size(); level_end > 0;) {
@@ -216,15 +237,23 @@ class IndexRepairer {
     report_.end();
   }
 
-  bool make_node(std::vector<ChunkEntry>& entries, std::size_t i, const std::vector<int>& tries, const ReadBlocks& read, std::uint64_t offset) const {
+  bool make_node(std::vector<ChunkEntry>& entries, std::size_t i, const std::vector<int>& tries, const ReadBlocks& read, std::uint64_t offset) {
+    std::optional<InnerNode> first;
     for (const int bits : tries) {
       InnerNode node = make_inner_node(*manifest_, entries, entries[i], read, kMaxChunkSurfels, bits);
-      if (node.entry.count > kMaxChunkSurfels || checksum_at(geometry_, offset, geometry_bytes(node.entry.count)) != node.entry.geometry_crc) continue;
+      if (node.entry.count > kMaxChunkSurfels) continue;
       node.entry.offset = offset;
-      entries[i] = node.entry;
-      return true;
+      if (checksum_at(geometry_, offset, geometry_bytes(node.entry.count)) == node.entry.geometry_crc) {
+        entries[i] = node.entry;
+        return true;
+      }
+      if (!first) first = std::move(node);
     }
-    return false;
+    // The bytes on disk are damaged too: the most likely node, for which the checksum of all records has to stand.
+    if (!first || !wanted_ || made_.size() >= kMostMade) return false;
+    entries[i] = first->entry;
+    made_[static_cast<std::uint32_t>(i)] = std::move(first->blocks);
+    return true;
   }
 
   fs::path path_;
@@ -237,6 +266,7 @@ class IndexRepairer {
   bool header_is_whole_ = false;
   std::uint64_t count_ = 0;
   std::optional<std::uint32_t> wanted_;
+  std::map<std::uint32_t, std::vector<SurfelBlock>> made_;  // inner nodes that are damaged on disk
 };
 
 }  // namespace

@@ -26,8 +26,9 @@ class StoreRepairer {
   RepairResult run() {
     if (!fs::is_directory(path_)) throw Error(concat(path_.string(), ": no such store (expected a folder with manifest.json)"));
     read_manifest();
-    if (repair_index()) {
-      repair_manifest();
+    const bool has_index = repair_index();
+    repair_manifest();
+    if (has_index) {
       const BudgetLease lease(budget_, entries_.size() * (sizeof(ChunkEntry) + sizeof(State)), "index");
       state_.assign(entries_.size(), State::kWhole);
       look_at_chunks();
@@ -70,7 +71,7 @@ class StoreRepairer {
       if (!sealed) manifest_ = parse_manifest(path, manifest_on_disk_);
     } catch (const Error&) {
     }
-    if (manifest_) set_totals();
+    if (manifest_ && !entries_.empty()) set_totals();
     const std::string made = manifest_ ? sealed_text(manifest_text(*manifest_)) : std::string();
     const std::size_t seal = seal_of("").size();
     // Members that were damaged beyond one byte: their true values must give the checksum that stands there.
