@@ -292,9 +292,14 @@ std::optional<std::uint32_t> checksum_at(const File& file, std::uint64_t offset,
   if (!file.is_open()) return std::nullopt;
   const std::uint64_t size = file.size();
   if (offset > size || bytes > size - offset) return std::nullopt;
-  std::vector<std::byte> buffer(bytes);
-  file.read_at(offset, buffer.data(), bytes);
-  return crc32c(buffer);
+  std::vector<std::byte> buffer(static_cast<std::size_t>(std::min<std::uint64_t>(bytes, 1 << 20)));
+  std::uint32_t crc = 0;
+  for (std::uint64_t at = 0; at < bytes; at += buffer.size()) {
+    const auto n = static_cast<std::size_t>(std::min<std::uint64_t>(buffer.size(), bytes - at));
+    file.read_at(offset + at, buffer.data(), n);
+    crc = crc32c(buffer.data(), n, crc);
+  }
+  return crc;
 }
 
 }  // namespace chiaro::stream

@@ -71,12 +71,12 @@ class LayerRepairer {
 
   void repair_index() {
     const fs::path path = path_ / "index.bin";
-    const std::string bytes = read_text(path, std::uint64_t{1} << 34);
+    const File index(path, File::Mode::kRead);
     const std::size_t chunks = found_.size(), record_bytes = record_bytes_of(fields_);
     LayerHeader header{};
-    std::memcpy(&header, bytes.data(), std::min(bytes.size(), sizeof header));
+    index.read_some_at(0, &header, sizeof header);
     wanted_.assign(chunks, 0);
-    if (bytes.size() > sizeof header) std::memcpy(wanted_.data(), bytes.data() + sizeof header, std::min(4 * chunks, bytes.size() - sizeof header));
+    index.read_some_at(sizeof header, wanted_.data(), 4 * chunks);
     LayerHeader expected = layer_header(record_bytes, offsets_.back(), wanted_);
     const bool is_whole_header = header.header_crc == header_crc_of(header);
     if (is_whole_header && !same_layout(header, expected)) throw Error(concat(path.string(), ": belongs to another layer or store"));
@@ -88,7 +88,7 @@ class LayerRepairer {
       if (!one_byte(header.records_crc) && !all_found(header.records_crc)) throw Error(concat(path.string(), ": checksums of chunks are damaged and cannot be told from the values"));
       expected = layer_header(record_bytes, offsets_.back(), wanted_);
     }
-    if (bytes.size() == sizeof header + 4 * chunks && std::memcmp(&header, &expected, sizeof header) == 0 && records_are_whole) return;
+    if (index.size() == sizeof header + 4 * chunks && std::memcmp(&header, &expected, sizeof header) == 0 && records_are_whole) return;
     AtomicFile file(path);
     file.append(&expected, sizeof expected);
     file.append(wanted_.data(), 4 * chunks);

@@ -193,6 +193,10 @@ class StoreRepairer {
       if (state_[i] == State::kDamaged && !entries_[i].is_leaf()) damaged.push_back(static_cast<std::uint32_t>(i));
     if (damaged.empty() && gaps_.empty() && size_of_geometry() == size) return;
     if (!manifest_) return;
+    if (chunks_overlap()) {
+      add_line(result_.lost, concat(index_path(path_).string(), ": chunks lie over each other in geometry.bin"));
+      return advise_ingest("the index is wrong");
+    }
     AtomicFile out(geometry_.path());
     copy_for_repair(geometry_, size, out, report_);
     for (const std::uint32_t i : gaps_) {
@@ -214,6 +218,16 @@ class StoreRepairer {
     if (!gaps_.empty()) repaired(geometry_.path(), concat("bytes behind ", gaps_.size(), gaps_.size() == 1 ? " chunk" : " chunks", " set to zero"));
     if (size_of_geometry() != size) repaired(geometry_.path(), concat(size_of_geometry(), " bytes long, now ", size));
     geometry_ = File(geometry_path(path_), File::Mode::kRead);
+  }
+
+  // Then nothing that is written for one chunk is safe for the other.
+  bool chunks_overlap() const {
+    std::vector<std::pair<std::uint64_t, std::uint64_t>> places;
+    for (const ChunkEntry& e : entries_) places.emplace_back(e.offset, aligned_end(e));
+    std::sort(places.begin(), places.end());
+    for (std::size_t i = 1; i < places.size(); ++i)
+      if (places[i].first < places[i - 1].second) return true;
+    return false;
   }
 
   bool make_node(File& file, std::uint32_t i) {
@@ -253,16 +267,16 @@ class StoreRepairer {
       for (std::size_t i = begin; i < end; ++i)
         bad[i] = entries_[i].is_leaf() && checksum_at(file, entries_[i].source_offset, kSourceBytes * entries_[i].count) != entries_[i].source_crc;
     });
-    std::uint64_t points = 0;
+    std::uint64_t end_of_sources = 0;
     for (std::size_t i = 0; i < bad.size(); ++i) {
-      if (entries_[i].is_leaf()) points += entries_[i].count;
+      if (entries_[i].is_leaf()) end_of_sources = std::max(end_of_sources, entries_[i].source_offset + kSourceBytes * entries_[i].count);
       if (!bad[i]) continue;
       if (state_[i] == State::kDamaged) result_.points_lost -= entries_[i].count;  // counted already
       lose_leaf(path, i, "the source indices of ");
     }
-    if (!file.is_open() || file.size() <= points * kSourceBytes) return;
+    if (!file.is_open() || file.size() <= end_of_sources) return;
     AtomicFile out(path);
-    copy_for_repair(file, points * kSourceBytes, out, report_);
+    copy_for_repair(file, end_of_sources, out, report_);
     out.commit();
     repaired(path, "what stood behind the end removed");
   }

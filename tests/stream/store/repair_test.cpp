@@ -188,6 +188,8 @@ TEST_F(Repair, LostRecordsOfTheIndexAreMadeFromTheLeaves) {
   expect_repaired("index.bin", zeroed(bytes, 0, 32 + inner_bytes), "header and inner records");
   expect_repaired("index.bin", zeroed(bytes, 0, 32), "header");
   expect_repaired("index.bin", bytes + std::string(200, 'x'), "longer");
+  expect_repaired("source.bin", whole_["source.bin"] + "x", "longer");
+  expect_repaired("layers/input/index.bin", whole_["layers/input/index.bin"] + "x", "longer");
   for (std::size_t i = 0; i < entries_.size(); ++i) {
     const std::size_t at = 32 + i * kIndexRecordBytes;
     expect_repaired("index.bin", zeroed(bytes, at + 44, 12), "bounds of " + std::to_string(i));
@@ -311,6 +313,15 @@ TEST_F(Repair, LeavesThatAreCutOffStayLostAndTheOthersReadable) {
     if (entries_[i].offset + geometry_bytes(entries_[i].count) > cut) EXPECT_THROW(store.read_chunk(i), Error);
     else EXPECT_NO_THROW(store.read_chunk(i));
   }
+}
+
+TEST_F(Repair, AnIndexThatLaysChunksOverEachOtherIsNotFollowed) {
+  std::vector<ChunkEntry> bad = entries_;
+  for (ChunkEntry& e : bad)
+    if (!e.is_leaf()) e.offset = entries_[first_leaf()].offset;
+  write_index(index_path(path_), bad);
+  EXPECT_THAT(repair().lost, Contains(HasSubstr("over each other")));
+  EXPECT_EQ(read_text(path_ / "geometry.bin"), whole_["geometry.bin"]);
 }
 
 TEST_F(Repair, ALeafSpacingThatTwoBytesWereTakenFromIsNotGuessed) {
