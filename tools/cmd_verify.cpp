@@ -1,10 +1,11 @@
-/// chiaro verify STORE: reads everything and checks it.
+/// chiaro verify STORE: reads everything and checks it; with --repair rebuilds what follows from what is whole.
 #include <nlohmann/json.hpp>
 #include <ostream>
 
 #include "stream/base/error.h"
 #include "stream/base/parallel.h"
 #include "stream/store/octree_build.h"
+#include "stream/store/repair.h"
 #include "tools/args.h"
 #include "tools/colour_source.h"
 #include "tools/commands.h"
@@ -17,20 +18,31 @@ int run_verify(std::span<const std::string> args, Console& console) {
   std::string dir;
   std::uint64_t memory_bytes = std::uint64_t{2} << 30;
   int threads = 0;
-  Args parser("verify", "Reads a whole store and checks it: checksums, counts, links, bounds, that every point is there exactly once, and all layers.\nExit code 1 if anything is wrong.");
+  bool repair = false;
+  Args parser("verify",
+              "Reads a whole store and checks it: checksums, counts, links, bounds, that every point is there exactly once, and all layers.\n"
+              "With --repair what follows from whole parts is rebuilt first, as it was: inner levels from the leaves, the index, totals of the manifest, inner values\n"
+              "of layers. Damaged geometry, source indices and layer values of leaves are kept nowhere else: they are named, and stay damaged.\n"
+              "Exit code 0 if the store is whole (now), 1 if damage remains.");
   parser.positional("DIR", dir, "NAME.chiaro, or the folder of a run");
+  parser.flag("--repair", repair, "rebuild what can be rebuilt; needs room for a copy of the largest damaged file");
   parser.resources(memory_bytes, threads);
   parser.common(console);
   if (!parser.parse(args, console)) return 0;
   const ThreadLimit limit(threads);
   MemoryBudget budget(budget_bytes(memory_bytes));
   const auto folder = store_folder(dir);
+  const stream::RepairResult fixed = repair ? stream::repair_store(folder, budget, console.report()) : stream::RepairResult{};
   const stream::VerifyResult result = stream::verify_store(folder, budget, console.report());
   console.clear_line();
   if (console.json) {
-    const nlohmann::ordered_json out{{"store", folder.string()}, {"chunks", result.chunks}, {"surfels", result.surfels}, {"problems", result.problems}};
+    nlohmann::ordered_json out{{"store", folder.string()}, {"chunks", result.chunks}, {"surfels", result.surfels}, {"problems", result.problems}};
+    if (repair) out.update({{"repaired", fixed.repaired}, {"lost", fixed.lost}, {"advice", fixed.advice}, {"points_lost", fixed.points_lost}});
     console.result(out.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace));
   } else {
+    for (const std::string& line : fixed.repaired) console.out() << "repaired: " << line << '\n';
+    for (const std::string& line : fixed.lost) console.out() << "lost: " << line << '\n';
+    for (const std::string& line : fixed.advice) console.out() << "to do: " << line << '\n';
     for (const std::string& problem : result.problems) console.out() << problem << '\n';
   }
   if (!result.problems.empty())

@@ -20,7 +20,7 @@ const Command kCommands[] = {
     {"run", "the whole way: cloud and flash photographs in, albedo per point out", chiaro::tools::run_run},
     {"ingest", "point files to a store", chiaro::tools::run_ingest},
     {"info", "what a store holds", chiaro::tools::run_info},
-    {"verify", "checks every byte of a store", chiaro::tools::run_verify},
+    {"verify", "checks every byte of a store, repairs what can be", chiaro::tools::run_verify},
     {"export", "a layer of a store to a point file", chiaro::tools::run_export},
     {"render", "predicted photographs from a finished run", chiaro::tools::run_render},
     {"compare", "two pictures, or the colours of two clouds: how alike they are", chiaro::tools::run_compare},

@@ -77,8 +77,9 @@ class HeaderScan {
     at_ += 4;
     if (bytes > size_ - at_) fail("header attribute \"", name, "\" claims ", bytes, " bytes at offset ", at_, ", ", size_ - at_, " left");
     if (type == "preview" && (bytes < 8 || std::uint64_t{word(at_)} * word(at_ + 4) != (bytes - 8) / 4)) fail("preview picture of a wrong size");
+    check_fixed_size(name, type, bytes);
     if (type == "stringvector") check_strings(name, bytes);
-    if (type == "chlist" && name == "channels") count_channels(bytes);
+    if (type == "chlist") check_channels(bytes, first_ && name == "channels");
     if (first_) {
       if (name == "dataWindow" && bytes == 16) data_ = window();
       if (name == "displayWindow" && bytes == 16) display_ = window();
@@ -87,6 +88,15 @@ class HeaderScan {
     }
     at_ += bytes;
     return true;
+  }
+
+  // The library reads values of these types without looking at the size in the file: with another size it would take what follows for something else.
+  void check_fixed_size(const std::string& name, const std::string& type, std::uint32_t bytes) const {
+    static const std::map<std::string, std::uint32_t> sizes{{"box2i", 16}, {"box2f", 16}, {"chromaticities", 32}, {"compression", 1}, {"deepImageState", 1}, {"double", 8}, {"envmap", 1}, {"float", 4},
+                                                            {"int", 4}, {"keycode", 28}, {"lineOrder", 1}, {"m33f", 36}, {"m33d", 72}, {"m44f", 64}, {"m44d", 128}, {"rational", 8},
+                                                            {"tiledesc", 9}, {"timecode", 8}, {"v2i", 8}, {"v2f", 8}, {"v2d", 16}, {"v3i", 12}, {"v3f", 12}, {"v3d", 24}};
+    const auto known = sizes.find(type);
+    if (known != sizes.end() && known->second != bytes) fail("header attribute \"", name, "\" of type ", type, " has ", bytes, " bytes, expected ", known->second);
   }
 
   void check_strings(const std::string& name, std::uint32_t bytes) const {
@@ -98,16 +108,17 @@ class HeaderScan {
     }
   }
 
-  void count_channels(std::uint32_t bytes) {
+  void check_channels(std::uint32_t bytes, bool count) {
     if (bytes > 1u << 16) fail("channel list of ", bytes, " bytes, expected at most ", 1u << 16);
-    if (!first_) return;
     std::vector<char> list(bytes);
     file_.read_at(at_, list.data(), list.size());
-    for (std::size_t i = 0; i < list.size() && list[i] != 0;) {
+    std::size_t i = 0;
+    while (i < list.size() && list[i] != 0) {
       while (i < list.size() && list[i] != 0) ++i;
       i += 1 + 16;
-      ++num_channels_;
+      num_channels_ += count;
     }
+    if (i + 1 != list.size()) fail("channel list at offset ", at_, " does not end where it should");
   }
 
   Window window() const {

@@ -36,22 +36,16 @@ struct Member {
   std::uint8_t flags;
 };
 
-struct InnerNode {
-  ChunkEntry entry;
-  std::vector<SurfelBlock> blocks;
-  std::vector<float> radii;
-};
-
 class NodeBuilder {
  public:
-  NodeBuilder(const File& geometry, const Manifest& manifest, const std::vector<ChunkEntry>& entries, const ChunkEntry& node, std::uint32_t chunk_surfels)
-      : geometry_(geometry), manifest_(manifest), entries_(entries), most_(chunk_surfels) {
+  NodeBuilder(const ReadBlocks& read, const Manifest& manifest, const std::vector<ChunkEntry>& entries, const ChunkEntry& node, std::uint32_t chunk_surfels)
+      : read_(read), entries_(entries), most_(chunk_surfels) {
     out_.entry = node;
     frame_ = frame_of(manifest, node);
   }
 
-  InnerNode run() {
-    const int bits = choose_voxel_bits();
+  InnerNode run(int voxel_bits) {
+    const int bits = voxel_bits < 0 ? choose_voxel_bits() : voxel_bits;
     out_.entry.source_offset = static_cast<std::uint64_t>(bits);
     voxel_bits_ = bits;
     VoxelCursor cursor(bits);
@@ -69,10 +63,7 @@ class NodeBuilder {
   template <class F>
   void for_each_child(const F& body) const {
     for (std::uint32_t c = 0; c < out_.entry.num_children; ++c) {
-      const ChunkEntry& child = entries_[out_.entry.first_child + c];
-      std::vector<SurfelBlock> blocks((child.count + 15) / 16);
-      geometry_.read_at(child.offset, blocks.data(), geometry_bytes(child.count));
-      body(child, blocks);
+      body(entries_[out_.entry.first_child + c], read_(out_.entry.first_child + c));
     }
   }
 
@@ -127,7 +118,7 @@ class NodeBuilder {
 
   void finish_group() {
     if (num_members_ == 0) return;
-    const auto slot = static_cast<std::uint32_t>(out_.radii.size());
+    const auto slot = static_cast<std::uint32_t>(radii_.size());
     if (slot % 16 == 0) out_.blocks.emplace_back();
     SurfelBlock& b = out_.blocks.back();
     const std::size_t lane = slot % 16;
@@ -151,7 +142,7 @@ class NodeBuilder {
     b.normal_v[lane] = code[1];
     constexpr std::uint8_t kAll = SurfelBlock::kOriented | SurfelBlock::kIsolated;
     b.flags[lane] = static_cast<std::uint8_t>((any_flags_ & SurfelBlock::kEstimated) | (all_flags_ & kAll));
-    out_.radii.push_back(covering_radius(stored, normal));
+    radii_.push_back(covering_radius(stored, normal));
     position_sum_ = Vec3d::Zero();
     normal_sum_ = Vec3d::Zero();
     num_members_ = 0;
@@ -177,8 +168,8 @@ class NodeBuilder {
 
   void seal() {
     ChunkEntry& e = out_.entry;
-    e.count = static_cast<std::uint32_t>(out_.radii.size());
-    e.radius_max = *std::max_element(out_.radii.begin(), out_.radii.end());
+    e.count = static_cast<std::uint32_t>(radii_.size());
+    e.radius_max = *std::max_element(radii_.begin(), radii_.end());
     e.spacing = static_cast<float>(std::ldexp(65536 * frame_.step, -voxel_bits_));
     e.tight_min = {65535, 65535, 65535};
     e.tight_max = {0, 0, 0};
@@ -197,7 +188,7 @@ class NodeBuilder {
         b.flags[lane] = SurfelBlock::kPadding;
         continue;
       }
-      b.log_radius[lane] = radii.encode(out_.radii[slot]);
+      b.log_radius[lane] = radii.encode(radii_[slot]);
       const std::array<std::uint16_t, 3> q{b.x[lane], b.y[lane], b.z[lane]};
       for (std::size_t a = 0; a < 3; ++a) {
         e.tight_min[a] = std::min(e.tight_min[a], q[a]);
@@ -207,11 +198,11 @@ class NodeBuilder {
     e.geometry_crc = crc32c(out_.blocks.data(), geometry_bytes(e.count));
   }
 
-  const File& geometry_;
-  const Manifest& manifest_;
+  const ReadBlocks& read_;
   const std::vector<ChunkEntry>& entries_;
   std::uint32_t most_;
   InnerNode out_;
+  std::vector<float> radii_;
   ChunkFrame frame_;
   int voxel_bits_ = 0;
   std::uint32_t group_ = 0;
@@ -223,6 +214,11 @@ class NodeBuilder {
 };
 
 }  // namespace
+
+InnerNode make_inner_node(const Manifest& manifest, const std::vector<ChunkEntry>& entries, const ChunkEntry& node, const ReadBlocks& read, std::uint32_t chunk_surfels,
+                          int voxel_bits) {
+  return NodeBuilder(read, manifest, entries, node, chunk_surfels).run(voxel_bits);
+}
 
 void VoxelCursor::next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::vector<std::uint32_t>& group) {
   group.resize(child.count);
@@ -245,6 +241,11 @@ std::uint64_t build_inner_levels(File& geometry, std::uint64_t geometry_end, con
   const auto workers = static_cast<std::size_t>(std::clamp<std::uint64_t>(budget.free_bytes() / 2 / per_node, 1, static_cast<std::uint64_t>(std::clamp(ThreadLimit::current(), 1, 64))));
   const std::size_t wave = 2 * workers;
   const BudgetLease lease(budget, per_node * workers + 16ull * chunk_surfels * wave, "inner levels");
+  const ReadBlocks read = [&](std::uint32_t chunk) {
+    std::vector<SurfelBlock> blocks((entries[chunk].count + 15) / 16);
+    geometry.read_at(entries[chunk].offset, blocks.data(), geometry_bytes(entries[chunk].count));
+    return blocks;
+  };
   // Deeper levels stand behind in the index; a level is finished before the one above reads it.
   for (std::size_t end = entries.size(); end > 0;) {
     std::size_t begin = end;
@@ -256,7 +257,7 @@ std::uint64_t build_inner_levels(File& geometry, std::uint64_t geometry_end, con
       const std::size_t n = std::min(wave, nodes.size() - first);
       std::vector<InnerNode> made(n);
       report.check();
-      parallel_blocks(n, 1, [&](std::size_t i, std::size_t) { made[i] = NodeBuilder(geometry, manifest, entries, entries[nodes[first + i]], chunk_surfels).run(); });
+      parallel_blocks(n, 1, [&](std::size_t i, std::size_t) { made[i] = make_inner_node(manifest, entries, entries[nodes[first + i]], read, chunk_surfels); });
       for (std::size_t i = 0; i < n; ++i) {
         InnerNode& node = made[i];
         node.entry.offset = geometry_end;

@@ -5,6 +5,7 @@
 /// children are in Morton order, so the members of a voxel follow each other; voxels in that order are the surfels of the node.
 #pragma once
 #include <array>
+#include <functional>
 #include <vector>
 
 #include "stream/base/budget.h"
@@ -28,6 +29,16 @@ class VoxelCursor {
   std::uint32_t group_ = 0;
   std::array<std::uint32_t, 3> last_{};
 };
+
+struct InnerNode {
+  ChunkEntry entry;                 ///< its offset is still to be chosen
+  std::vector<SurfelBlock> blocks;
+};
+/// Blocks of the chunk with this number in the index; what it gives must be whole.
+using ReadBlocks = std::function<std::vector<SurfelBlock>(std::uint32_t chunk)>;
+/// One inner node from its children: count, bounds, radius, spacing, CRC, blocks. voxel_bits: g, or < 0 to choose it by the rule of build_inner_levels().
+InnerNode make_inner_node(const Manifest& manifest, const std::vector<ChunkEntry>& entries, const ChunkEntry& node, const ReadBlocks& read, std::uint32_t chunk_surfels,
+                          int voxel_bits = -1);
 
 /// Fills all inner entries (count, bounds, radius, spacing, CRC; source_offset = g) from the deepest level up and appends their blocks at
 /// `geometry_end`. g is the largest that leaves at most 30 % of the children's surfels and at most chunk_surfels. Returns the new end.

@@ -16,14 +16,6 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little, "files are little-endian and copied as they are");
 
-struct IndexHeader {
-  char magic[8];
-  std::uint32_t version, record_bytes;
-  std::uint64_t count;
-  std::uint32_t records_crc, header_crc;
-};
-static_assert(sizeof(IndexHeader) == 32);
-
 struct IndexRecord {
   std::uint64_t morton, offset, source_offset;
   std::uint32_t count, geometry_crc, source_crc, first_child;
@@ -32,7 +24,7 @@ struct IndexRecord {
   std::uint16_t tight[6];
   float radius_max, spacing;
 };
-static_assert(sizeof(IndexRecord) == 64);
+static_assert(sizeof(IndexRecord) == kIndexRecordBytes);
 
 constexpr char kIndexMagic[9] = "chiaroIX";
 
@@ -78,13 +70,14 @@ ChunkEntry from_record(const IndexRecord& r) {
   return e;
 }
 
-std::string seal(std::string_view text) {
-  char line[40];
-  std::snprintf(line, sizeof line, ",\n  \"crc32c\": \"%08x\"\n}\n", crc32c(text.data(), text.size()));
-  return line;
-}
-
 }  // namespace
+
+std::uint64_t geometry_file_bytes(const std::vector<ChunkEntry>& entries) {
+  const ChunkEntry* last = nullptr;
+  for (const ChunkEntry& e : entries)
+    if (!last || e.offset > last->offset) last = &e;
+  return !last ? 0 : last->is_leaf() ? aligned_end(*last) : last->offset + geometry_bytes(last->count);
+}
 
 fs::path manifest_path(const fs::path& store) { return store / "manifest.json"; }
 fs::path index_path(const fs::path& store) { return store / "index.bin"; }
@@ -92,19 +85,27 @@ fs::path geometry_path(const fs::path& store) { return store / "geometry.bin"; }
 fs::path source_path(const fs::path& store) { return store / "source.bin"; }
 fs::path layers_path(const fs::path& store) { return store / "layers"; }
 
-void write_sealed(const fs::path& path, const std::string& object_text) {
+std::string seal_of(std::string_view body) {
+  char line[40];
+  std::snprintf(line, sizeof line, ",\n  \"crc32c\": \"%08x\"\n}\n", crc32c(body.data(), body.size()));
+  return line;
+}
+
+std::string sealed_text(const std::string& object_text) {
   std::string text = object_text.substr(0, object_text.rfind('}'));
   while (!text.empty() && (text.back() == '\n' || text.back() == ' ')) text.pop_back();
-  write_text(path, text + seal(text));
+  return text + seal_of(text);
 }
+
+void write_sealed(const fs::path& path, const std::string& object_text) { write_text(path, sealed_text(object_text)); }
 
 std::string read_sealed(const fs::path& path) {
   const std::string text = read_text(path);
-  const std::size_t seal_bytes = seal("").size();
+  const std::size_t seal_bytes = seal_of("").size();
   if (text.size() <= seal_bytes) throw Error(concat(path.string(), ": ", text.size(), " bytes, file ends early"));
   const std::string_view body(text.data(), text.size() - seal_bytes);
-  if (text.compare(body.size(), seal_bytes, seal(body)) != 0)
-    throw Error(concat(path.string(), ": checksum at byte ", body.size(), " does not match: expected \"", seal(body).substr(15, 8), "\"; the file is damaged or was edited"));
+  if (text.compare(body.size(), seal_bytes, seal_of(body)) != 0)
+    throw Error(concat(path.string(), ": checksum at byte ", body.size(), " does not match: expected \"", seal_of(body).substr(15, 8), "\"; the file is damaged or was edited"));
   return text;
 }
 
@@ -165,17 +166,37 @@ Manifest parse_manifest(const fs::path& path, const std::string& text) {
   return m;
 }
 
-void write_index(const fs::path& path, const std::vector<ChunkEntry>& entries) {
+IndexHeader index_header(std::uint64_t count, std::uint32_t records_crc) {
   IndexHeader header{};
   std::memcpy(header.magic, kIndexMagic, 8);
   header.version = kFormatVersion;
   header.record_bytes = sizeof(IndexRecord);
-  header.count = entries.size();
+  header.count = count;
+  header.records_crc = records_crc;
+  header.header_crc = header_crc_of(header);
+  return header;
+}
+
+std::uint32_t header_crc_of(const IndexHeader& header) { return crc32c(&header, offsetof(IndexHeader, header_crc)); }
+
+void encode_entry(const ChunkEntry& entry, std::byte* record) {
+  const IndexRecord r = to_record(entry);
+  std::memcpy(record, &r, sizeof r);
+}
+
+ChunkEntry decode_entry(const std::byte* record) {
+  IndexRecord r;
+  std::memcpy(&r, record, sizeof r);
+  return from_record(r);
+}
+
+void write_index(const fs::path& path, const std::vector<ChunkEntry>& entries) {
+  std::uint32_t crc = 0;
   for (const ChunkEntry& e : entries) {
     const IndexRecord r = to_record(e);
-    header.records_crc = crc32c(&r, sizeof r, header.records_crc);
+    crc = crc32c(&r, sizeof r, crc);
   }
-  header.header_crc = crc32c(&header, offsetof(IndexHeader, header_crc));
+  const IndexHeader header = index_header(entries.size(), crc);
   AtomicFile file(path);
   file.append(&header, sizeof header);
   for (const ChunkEntry& e : entries) {
@@ -192,7 +213,7 @@ std::vector<ChunkEntry> read_index(const fs::path& path) {
   if (size < sizeof header) throw Error(concat(path.string(), ": ", size, " bytes, file ends early"));
   file.read_at(0, &header, sizeof header);
   if (std::memcmp(header.magic, kIndexMagic, 8) != 0) throw Error(concat(path.string(), ": not an index of a store (magic at byte 0)"));
-  if (header.header_crc != crc32c(&header, offsetof(IndexHeader, header_crc))) throw Error(concat(path.string(), ": checksum of the header does not match"));
+  if (header.header_crc != header_crc_of(header)) throw Error(concat(path.string(), ": checksum of the header does not match"));
   if (header.version != kFormatVersion)
     throw Error(concat(path.string(), ": format version ", header.version, ", this program reads version ", kFormatVersion));
   if (header.record_bytes != sizeof(IndexRecord) || header.count != (size - sizeof header) / sizeof(IndexRecord) ||

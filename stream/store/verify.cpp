@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 #include <mutex>
 
 #include "stream/base/error.h"
@@ -22,10 +23,12 @@ class Verifier {
     try {
       const Store store(path_);
       result_.chunks = store.chunks().size();
+      check_totals(store);
       check_geometry(store);
       check_inner(store);
       check_sources(store);
       for (const std::string& name : layer_names(store)) check_layer(store, name);
+      check_layer_folders(store);
     } catch (const Error& e) {
       problem(e.what());
     }
@@ -63,8 +66,34 @@ class Verifier {
 
   static std::string where(const Store& store, std::uint32_t chunk) { return concat(geometry_path(store.path()).string(), ": chunk ", chunk); }
 
+  // What opening a store leaves out.
+  void check_totals(const Store& store) {
+    const auto expect_size = [&](const std::filesystem::path& path, std::uint64_t expected) {
+      if (const std::uint64_t size = std::filesystem::file_size(path); size != expected) problem(concat(path.string(), ": ", size, " bytes, expected ", expected));
+    };
+    expect_size(geometry_path(path_), geometry_file_bytes(store.chunks()));
+    expect_size(source_path(path_), store.manifest().points_stored * kSourceBytes);
+    Box3d bounds;
+    for (const std::uint32_t leaf : store.leaves()) {
+      bounds.extend(store.bounds(leaf).min);
+      bounds.extend(store.bounds(leaf).max);
+    }
+    if (bounds.min != store.manifest().bounds.min || bounds.max != store.manifest().bounds.max) problem(concat(manifest_path(path_).string(), ": bounds are not those of the leaves"));
+  }
+
+  // Between chunks nothing stands.
+  void check_gap(const File& geometry, const ChunkEntry& e) const {
+    const std::uint64_t end = e.offset + geometry_bytes(e.count);
+    std::array<char, kChunkAlignment> bytes;
+    const std::size_t n = geometry.read_some_at(end, bytes.data(), static_cast<std::size_t>(aligned_end(e) - end));
+    for (std::size_t i = 0; i < n; ++i)
+      if (bytes[i] != 0) throw Error(concat(geometry.path().string(), ": byte ", end + i, " between chunks is not zero"));
+  }
+
   void check_geometry(const Store& store) {
+    const File geometry(geometry_path(path_), File::Mode::kRead);
     for_each_chunk(store, "verify geometry", [&](std::uint32_t i) {
+      check_gap(geometry, store.chunks()[i]);
       const Chunk chunk = store.read_chunk(i);
       const ChunkEntry& e = store.chunks()[i];
       std::array<std::uint16_t, 3> low{65535, 65535, 65535}, high{0, 0, 0};
@@ -146,6 +175,14 @@ class Verifier {
       }
     }
     report_.end();
+  }
+
+  void check_layer_folders(const Store& store) {
+    std::error_code code;
+    for (std::filesystem::directory_iterator it(layers_path(path_), code), end; !code && it != end; it.increment(code)) {
+      const std::string name = it->path().filename().string();
+      if (!name.ends_with(".part") && !name.ends_with(".old") && !has_layer(store, name)) problem(concat(it->path().string(), ": has no layer.json"));
+    }
   }
 
   void check_layer(const Store& store, const std::string& name) {

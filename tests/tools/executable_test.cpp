@@ -5,6 +5,7 @@
 
 #include <cstdlib>
 #include <fstream>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "stream/base/file.h"
@@ -146,6 +147,60 @@ TEST_F(ExecutableTest, MakesDescribesVerifiesAndExportsAStore) {
   const Ran broken = run("verify s.chiaro");
   EXPECT_EQ(broken.code, 1);
   EXPECT_THAT(broken.err, HasSubstr("problem"));
+}
+
+TEST_F(ExecutableTest, RepairsAStoreAndNamesWhatIsLost) {
+  write("cloud.ply", cloud(2000));
+  ASSERT_EQ(run("ingest cloud.ply --out s.chiaro").code, 0);
+  const Ran whole = run("verify s.chiaro --repair");
+  EXPECT_EQ(whole.code, 0);
+  EXPECT_THAT(whole.out, testing::Not(HasSubstr("repaired")));
+  const std::string index = read_text(scratch_.path() / "s.chiaro/index.bin");
+  std::string bytes = index;
+  bytes[50] = static_cast<char>(bytes[50] ^ 4);
+  write("s.chiaro/index.bin", bytes);
+  EXPECT_EQ(run("verify s.chiaro").code, 1);
+  const Ran repaired = run("verify s.chiaro --repair");
+  EXPECT_EQ(repaired.code, 0) << repaired.err;
+  EXPECT_THAT(repaired.out, testing::AllOf(HasSubstr("repaired: s.chiaro/index.bin"), HasSubstr("s.chiaro: whole")));
+  EXPECT_EQ(read_text(scratch_.path() / "s.chiaro/index.bin"), index);
+  // Geometry of a leaf is kept nowhere else.
+  bytes = read_text(scratch_.path() / "s.chiaro/geometry.bin");
+  bytes[100] = static_cast<char>(bytes[100] ^ 4);
+  write("s.chiaro/geometry.bin", bytes);
+  const Ran lost = run("verify s.chiaro --repair");
+  EXPECT_EQ(lost.code, 1);
+  EXPECT_THAT(lost.out, testing::AllOf(HasSubstr("lost: s.chiaro/geometry.bin: chunk"), HasSubstr("points are lost"), HasSubstr("to do: "), HasSubstr("cloud.ply")));
+  EXPECT_EQ(read_text(scratch_.path() / "s.chiaro/geometry.bin"), bytes);
+  const std::string out = run("verify s.chiaro --repair --json").out;
+  const std::string result = out.substr(out.find("{\"event\":\"result\""));
+  EXPECT_GT(nlohmann::json::parse(result.substr(0, result.find('\n')))["points_lost"], 0);
+}
+
+TEST_F(ExecutableTest, ARepairThatIsKilledLeavesEachFileDamagedOrRepaired) {
+  write("cloud.ply", cloud(100000));
+  ASSERT_EQ(run("ingest cloud.ply --out s.chiaro").code, 0);
+  const std::string names[] = {"s.chiaro/manifest.json", "s.chiaro/index.bin", "s.chiaro/geometry.bin", "s.chiaro/layers/input/values.bin"};
+  std::map<std::string, std::string> whole, damaged;
+  for (const std::string& name : names) whole[name] = damaged[name] = read_text(scratch_.path() / name);
+  for (const std::size_t at : {std::size_t{70}, std::size_t{90}}) damaged[names[at == 90]][at] ^= 4;
+  damaged[names[2]].back() ^= 4;  // of an inner node: these stand behind the leaves
+  damaged[names[3]].front() ^= 4;  // of the root
+  int killed = 0;
+  for (const char* seconds : {"0.005", "0.01", "0.02", "0.03", "0.05", "0.08"}) {
+    for (const std::string& name : names) write(name, damaged[name]);
+    const int status = std::system(("cd '" + scratch_.path().string() + "' && timeout -s KILL " + seconds + " '" CHIARO_EXECUTABLE "' verify s.chiaro --repair >/dev/null 2>&1").c_str());
+    killed += status != 0;
+    for (const std::string& name : names) {
+      const std::string now = read_text(scratch_.path() / name);
+      EXPECT_TRUE(now == damaged[name] || now == whole[name]) << name << " after " << seconds << " s";
+    }
+    const Ran ran = run("verify s.chiaro --repair");
+    EXPECT_EQ(ran.code, 0) << ran.out;
+    for (const std::string& name : names) EXPECT_TRUE(read_text(scratch_.path() / name) == whole[name]) << name << " after " << seconds << " s";
+    for (const auto& entry : fs::recursive_directory_iterator(scratch_.path() / "s.chiaro")) EXPECT_NE(entry.path().extension(), ".part");
+  }
+  EXPECT_GT(killed, 0);
 }
 
 TEST_F(ExecutableTest, LeavesAFolderAloneThatIsNoStore) {
