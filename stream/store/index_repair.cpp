@@ -117,18 +117,12 @@ class IndexRepairer {
     return answer;
   }
 
-  std::vector<SurfelBlock> blocks_of(const ChunkEntry& e) const {
-    std::vector<SurfelBlock> blocks((e.count + 15) / 16);
-    geometry_.read_at(e.offset, blocks.data(), geometry_bytes(e.count));
-    return blocks;
-  }
-
   // Is the chunk what its record says, as far as the bytes on disk can tell?
   bool agrees(const ChunkEntry& e) const {
     if (checksum_at(geometry_, e.offset, geometry_bytes(e.count)) != e.geometry_crc) return false;
     if (e.is_leaf() && checksum_at(source_, e.source_offset, kSourceBytes * e.count) != e.source_crc) return false;
     ChunkEntry same = e;
-    set_tight_bounds(same, blocks_of(e));
+    set_tight_bounds(same, read_blocks(geometry_, e));
     return same.tight_min == e.tight_min && same.tight_max == e.tight_max;
   }
 
@@ -138,7 +132,7 @@ class IndexRepairer {
     if (e.is_leaf() || !manifest_) return false;
     for (std::uint32_t c = e.first_child; c < e.first_child + e.num_children; ++c)
       if (checksum_at(geometry_, entries[c].offset, geometry_bytes(entries[c].count)) != entries[c].geometry_crc) return false;
-    const ChunkEntry made = make_inner_node(*manifest_, entries, e, [&](std::uint32_t c) { return blocks_of(entries[c]); }, kMaxChunkSurfels, static_cast<int>(e.source_offset)).entry;
+    const ChunkEntry made = make_inner_node(*manifest_, entries, e, [&](std::uint32_t c) { return read_blocks(geometry_, entries[c]); }, kMaxChunkSurfels, static_cast<int>(e.source_offset)).entry;
     std::byte expected[kIndexRecordBytes], found[kIndexRecordBytes];
     encode_entry(made, expected);
     encode_entry(e, found);
@@ -203,7 +197,7 @@ class IndexRepairer {
     const auto geometry = checksum_at(geometry_, e.offset, geometry_bytes(e.count)), source = checksum_at(source_, e.source_offset, kSourceBytes * e.count);
     if (!trust_checksums && geometry) e.geometry_crc = *geometry;
     if (!trust_checksums && source) e.source_crc = *source;
-    if (geometry == e.geometry_crc) set_tight_bounds(e, blocks_of(e));
+    if (geometry == e.geometry_crc) set_tight_bounds(e, read_blocks(geometry_, e));
   }
 
   // Each inner node made from its children, with the g it had; the one whose bytes are those on disk is the right one.
@@ -212,7 +206,7 @@ class IndexRepairer {
     std::sort(old_inner.begin(), old_inner.end(), by_cell);
     const ReadBlocks read = [&](std::uint32_t chunk) {
       const auto made = made_.find(chunk);
-      return made != made_.end() ? made->second : blocks_of(entries[chunk]);
+      return made != made_.end() ? made->second : read_blocks(geometry_, entries[chunk]);
     };
     made_.clear();
     report_.begin("rebuild index", entries.size(), "chunks");

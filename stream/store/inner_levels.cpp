@@ -241,11 +241,7 @@ std::uint64_t build_inner_levels(File& geometry, std::uint64_t geometry_end, con
   const auto workers = static_cast<std::size_t>(std::clamp<std::uint64_t>(budget.free_bytes() / 2 / per_node, 1, static_cast<std::uint64_t>(std::clamp(ThreadLimit::current(), 1, 64))));
   const std::size_t wave = 2 * workers;
   const BudgetLease lease(budget, per_node * workers + 16ull * chunk_surfels * wave, "inner levels");
-  const ReadBlocks read = [&](std::uint32_t chunk) {
-    std::vector<SurfelBlock> blocks((entries[chunk].count + 15) / 16);
-    geometry.read_at(entries[chunk].offset, blocks.data(), geometry_bytes(entries[chunk].count));
-    return blocks;
-  };
+  const ReadBlocks read = [&](std::uint32_t chunk) { return read_blocks(geometry, entries[chunk]); };
   // Deeper levels stand behind in the index; a level is finished before the one above reads it.
   for (std::size_t end = entries.size(); end > 0;) {
     std::size_t begin = end;

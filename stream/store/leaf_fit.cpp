@@ -20,13 +20,6 @@ constexpr double kReachSpacings = 256;
 // square: 2.8 leaves 2 rays in 10 000 without a disc, 3.4 none in 100 000; discs reach 0.6 spacings over the border in both.
 constexpr double kRadiusSpacings = 3.4;
 
-std::vector<SurfelBlock> read_blocks(const FitJob& job, std::uint32_t chunk) {
-  const ChunkEntry& e = job.entries[chunk];
-  std::vector<SurfelBlock> blocks((e.count + 15) / 16);
-  job.geometry.read_at(e.offset, blocks.data(), geometry_bytes(e.count));
-  return blocks;
-}
-
 bool meet(const Box3d& a, const Box3d& b) { return (a.min.array() <= b.max.array()).all() && (b.min.array() <= a.max.array()).all(); }
 
 // Leaves whose tight bounds meet the box, by descent from the root.
@@ -67,7 +60,7 @@ void for_each_leaf(const FitJob& job, const char* stage, bool with_normals, Memo
   const auto workers = static_cast<std::size_t>(std::clamp<std::uint64_t>(budget.free_bytes() / (per_worker + pinned), 1, static_cast<std::uint64_t>(std::clamp(ThreadLimit::current(), 1, 64))));
   const BudgetLease lease(budget, per_worker * workers, "fitting of surfels");
   HaloCache cache(
-      budget, [&](std::uint32_t i) { return make_halo_chunk(i, frame_of(job.manifest, job.entries[i]), read_blocks(job, i), job.entries[i].count, with_normals); },
+      budget, [&](std::uint32_t i) { return make_halo_chunk(i, frame_of(job.manifest, job.entries[i]), read_blocks(job.geometry, job.entries[i]), job.entries[i].count, with_normals); },
       [&](std::uint32_t i) { return HaloChunk::bytes_for(job.entries[i].count); });
   const Neighbourhood::Find find = [&](const Box3d& box) { return find_leaves(job, box); };
   report.begin(stage, points, "points");
@@ -98,7 +91,7 @@ FitOptions fit_options(const FitJob& job, double radius_spacings) {
 void fit_normals(const FitJob& job, MemoryBudget& budget, Reporter& report) {
   const FitOptions options = fit_options(job, job.estimate_radius_spacings);
   for_each_leaf(job, "normals", false, budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
-    std::vector<SurfelBlock> blocks = read_blocks(job, chunk);
+    std::vector<SurfelBlock> blocks = read_blocks(job.geometry, job.entries[chunk]);
     const ChunkEntry& e = job.entries[chunk];
     const auto estimated = [&](std::uint32_t slot) { return (blocks[slot / 16].flags[slot % 16] & SurfelBlock::kEstimated) != 0; };
     bool any = false;
@@ -123,7 +116,7 @@ void fit_normals(const FitJob& job, MemoryBudget& budget, Reporter& report) {
 void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report) {
   const FitOptions options = fit_options(job, kRadiusSpacings);
   for_each_leaf(job, "radii", true, budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
-    std::vector<SurfelBlock> blocks = read_blocks(job, chunk);
+    std::vector<SurfelBlock> blocks = read_blocks(job.geometry, job.entries[chunk]);
     ChunkEntry& e = job.entries[chunk];
     const HaloChunk& own = around.own();
     std::vector<RadiusFit> fits;

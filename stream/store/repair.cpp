@@ -1,7 +1,6 @@
 #include "stream/store/repair.h"
 
 #include <algorithm>
-#include <array>
 #include <atomic>
 #include <optional>
 
@@ -157,10 +156,9 @@ class StoreRepairer {
       state_[i] = State::kDamaged;
       return;
     }
-    std::vector<SurfelBlock> blocks((e.count + 15) / 16);
-    geometry_.read_at(e.offset, blocks.data(), geometry_bytes(e.count));
+    const std::vector<SurfelBlock> blocks = read_blocks(geometry_, e);
     if (crc32c(blocks.data(), geometry_bytes(e.count)) != e.geometry_crc) state_[i] = State::kDamaged;
-    gap = !is_zero(e.offset + geometry_bytes(e.count), aligned_end(e));
+    gap = byte_behind(geometry_, e).has_value();
     if (state_[i] == State::kDamaged) return;
     const ChunkEntry before = e;
     set_tight_bounds(e, blocks);
@@ -168,13 +166,6 @@ class StoreRepairer {
   }
 
   std::uint64_t size_of_geometry() const { return geometry_.is_open() ? geometry_.size() : 0; }
-
-  // Nothing stands between chunks.
-  bool is_zero(std::uint64_t begin, std::uint64_t end) const {
-    std::array<char, kChunkAlignment> bytes;
-    const std::size_t n = geometry_.read_some_at(begin, bytes.data(), static_cast<std::size_t>(end - begin));
-    return std::all_of(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(n), [](char c) { return c == 0; });
-  }
 
   void lose_leaf(const fs::path& file, std::size_t i, const char* what) {
     const ChunkEntry& e = entries_[i];
@@ -249,9 +240,7 @@ class StoreRepairer {
 
   std::vector<SurfelBlock> child_blocks(const File& file, std::uint32_t child) const {
     if (state_[child] == State::kDamaged) throw Error(concat("its child ", child, " is damaged"));
-    std::vector<SurfelBlock> blocks((entries_[child].count + 15) / 16);
-    file.read_at(entries_[child].offset, blocks.data(), geometry_bytes(entries_[child].count));
-    return blocks;
+    return read_blocks(file, entries_[child]);
   }
 
   // Sources and layers

@@ -1,5 +1,6 @@
 #include "stream/store/store_format.h"
 
+#include <array>
 #include <bit>
 #include <cmath>
 #include <cstdio>
@@ -77,6 +78,21 @@ std::uint64_t geometry_file_bytes(const std::vector<ChunkEntry>& entries) {
   for (const ChunkEntry& e : entries)
     if (!last || e.offset > last->offset) last = &e;
   return !last ? 0 : last->is_leaf() ? aligned_end(*last) : last->offset + geometry_bytes(last->count);
+}
+
+std::vector<SurfelBlock> read_blocks(const File& geometry, const ChunkEntry& entry) {
+  std::vector<SurfelBlock> blocks((entry.count + 15) / 16);
+  geometry.read_at(entry.offset, blocks.data(), geometry_bytes(entry.count));
+  return blocks;
+}
+
+std::optional<std::uint64_t> byte_behind(const File& geometry, const ChunkEntry& entry) {
+  const std::uint64_t end = entry.offset + geometry_bytes(entry.count);
+  std::array<char, kChunkAlignment> bytes;
+  const std::size_t n = geometry.read_some_at(end, bytes.data(), static_cast<std::size_t>(aligned_end(entry) - end));
+  for (std::size_t i = 0; i < n; ++i)
+    if (bytes[i] != 0) return end + i;
+  return std::nullopt;
 }
 
 fs::path manifest_path(const fs::path& store) { return store / "manifest.json"; }

@@ -1,10 +1,12 @@
 /// The files of a store, byte by byte (docs/store-format.md): shared by the builder, the reader, layers and verification.
 #pragma once
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "stream/base/file.h"
 #include "stream/store/store.h"
 
 namespace chiaro::stream {
@@ -29,6 +31,11 @@ inline std::uint64_t aligned_end(const ChunkEntry& e) { return (e.offset + geome
 
 /// Size of geometry.bin: up to the last inner node; room to append where there is none.
 std::uint64_t geometry_file_bytes(const std::vector<ChunkEntry>& entries);
+
+/// Surfels of a chunk, unchecked. throws Error where the file ends before.
+std::vector<SurfelBlock> read_blocks(const File& geometry, const ChunkEntry& entry);
+/// The first byte behind a chunk, before the next one can begin, that is not zero as it should be.
+std::optional<std::uint64_t> byte_behind(const File& geometry, const ChunkEntry& entry);
 
 std::filesystem::path manifest_path(const std::filesystem::path& store);
 std::filesystem::path index_path(const std::filesystem::path& store);

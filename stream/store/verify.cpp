@@ -81,19 +81,10 @@ class Verifier {
     if (bounds.min != store.manifest().bounds.min || bounds.max != store.manifest().bounds.max) problem(concat(manifest_path(path_).string(), ": bounds are not those of the leaves"));
   }
 
-  // Between chunks nothing stands.
-  void check_gap(const File& geometry, const ChunkEntry& e) const {
-    const std::uint64_t end = e.offset + geometry_bytes(e.count);
-    std::array<char, kChunkAlignment> bytes;
-    const std::size_t n = geometry.read_some_at(end, bytes.data(), static_cast<std::size_t>(aligned_end(e) - end));
-    for (std::size_t i = 0; i < n; ++i)
-      if (bytes[i] != 0) throw Error(concat(geometry.path().string(), ": byte ", end + i, " between chunks is not zero"));
-  }
-
   void check_geometry(const Store& store) {
     const File geometry(geometry_path(path_), File::Mode::kRead);
     for_each_chunk(store, "verify geometry", [&](std::uint32_t i) {
-      check_gap(geometry, store.chunks()[i]);
+      if (const auto at = byte_behind(geometry, store.chunks()[i])) throw Error(concat(geometry.path().string(), ": byte ", *at, " between chunks is not zero"));
       const Chunk chunk = store.read_chunk(i);
       const ChunkEntry& e = store.chunks()[i];
       std::array<std::uint16_t, 3> low{65535, 65535, 65535}, high{0, 0, 0};
