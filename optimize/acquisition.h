@@ -35,7 +35,8 @@ struct AcquisitionInput {
 };
 
 struct AcquisitionOptions {
-  std::uint64_t max_proxy_surfels = 150000;
+  std::uint64_t proxy_surfels = 400000;    ///< wanted; the levels of the octree come in steps (surfels/working_set.h)
+  std::uint64_t max_proxy_surfels = 800000;
   int rays = 64;
   std::uint64_t seed = 1;
   int outer_iterations = 12;

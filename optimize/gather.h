@@ -19,7 +19,7 @@ void sky_basis(const Vec3f& direction, float* terms);
 struct GatherOptions {
   int rays = 64;            ///< per surfel, cosine-distributed
   std::uint64_t seed = 1;
-  int smooth_passes = 2;    ///< over 16 neighbours of like normal
+  int smooth_passes = 4;    ///< over 16 neighbours of like normal
 };
 
 struct Transport {

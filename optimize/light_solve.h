@@ -49,7 +49,7 @@ struct LightSolveOptions {
 
 struct LightSolution {
   Lights lights;
-  Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), bounce): sandwich estimate, prior included
+  Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), bounce): sandwich estimate, priors and the common error of gathered light included
   double scatter = 0;                         ///< robust standard deviation of ln albedo between samples of a group
   std::size_t groups = 0, samples = 0;
   int iterations = 0;

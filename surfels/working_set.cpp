@@ -206,7 +206,7 @@ WorkingSet select_visible(const stream::Store& store, const View& view, const Cu
   return set;
 }
 
-WorkingSet select_proxy(const stream::Store& store, std::span<const View> views, std::uint64_t max_surfels) {
+WorkingSet select_proxy(const stream::Store& store, std::span<const View> views, std::uint64_t wanted, std::uint64_t most) {
   // Best first: the chunk whose surfels look largest to some camera is split next, while its children fit.
   struct Node {
     double size_px;
@@ -236,11 +236,13 @@ WorkingSet select_proxy(const stream::Store& store, std::span<const View> views,
     const stream::ChunkEntry& entry = store.chunks()[node.chunk];
     std::uint64_t children = 0;
     for (std::uint32_t i = 0; i < entry.num_children; ++i) children += store.chunks()[entry.first_child + i].count;
-    if (entry.is_leaf() || total - entry.count + children > max_surfels) {
+    const std::uint64_t split = total - entry.count + children;
+    const bool nearer = split <= wanted || static_cast<double>(split) * static_cast<double>(total) <= static_cast<double>(wanted) * static_cast<double>(wanted);
+    if (entry.is_leaf() || split > most || !nearer) {
       set.chunks.push_back(node.chunk);
       continue;
     }
-    total += children - entry.count;
+    total = split;
     for (std::uint32_t i = 0; i < entry.num_children; ++i) queue.push({size_px(entry.first_child + i), entry.first_child + i});
   }
   std::sort(set.chunks.begin(), set.chunks.end());

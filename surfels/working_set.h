@@ -39,8 +39,9 @@ struct WorkingSet {
 /// The cut for rays that start in the view's pixels and for shadow rays to its lights.
 WorkingSet select_visible(const stream::Store& store, const View& view, const CutOptions& options, MemoryBudget& budget, Reporter& report);
 
-/// A cut of the whole scene of at most max_surfels surfels for light transport: finest where the photographs see most detail
-/// (the level is chosen by solid angle seen from the nearest camera, equalised over the cut).
-WorkingSet select_proxy(const stream::Store& store, std::span<const View> views, std::uint64_t max_surfels);
+/// A cut of the whole scene for light transport: finest where the photographs see most detail (the level is chosen by solid angle seen from the
+/// nearest camera, equalised over the cut). Levels come in steps, of eight and more at the root: the cut is as near to `wanted` surfels as the steps allow,
+/// by ratio, and never above `most`, where the root itself is not.
+WorkingSet select_proxy(const stream::Store& store, std::span<const View> views, std::uint64_t wanted, std::uint64_t most);
 
 }  // namespace chiaro::surfels

@@ -33,7 +33,7 @@ using Json = nlohmann::ordered_json;
 using optimize::Method;
 
 /// Part of every key: raise it when a stage's result changes for the same inputs.
-constexpr std::uint64_t kPipelineVersion = 1;
+constexpr std::uint64_t kPipelineVersion = 2;
 
 struct Photo {
   const PhotographInput* input = nullptr;
@@ -315,7 +315,7 @@ class Pipeline {
     const std::filesystem::path folder = folder_.acquisition(a.name);
     make_folder(folder);
     Hasher h = keyed("gather");
-    h.add(options.seed).add(options.max_proxy_surfels).add(static_cast<std::uint64_t>(options.rays));
+    h.add(options.seed).add(options.proxy_surfels).add(options.max_proxy_surfels).add(static_cast<std::uint64_t>(options.rays));
     for (const Photo& p : shoot.photos) h.add(p.gbuffer_key);
     shoot.transport_key = h.hex();
     task("gather/" + a.name, shoot.transport_key, {folder / "proxy.bin", folder / "transport.bin"}, [&] {

@@ -41,5 +41,21 @@ TEST_F(Synth, AStatueComesOutWithinItsMemory) {
   EXPECT_LE(made.peak_bytes, 128u << 20);
 }
 
+// In a closed room each photograph sees a tenth of the walls, and half of the light comes from what it does not see: lights and unseen radiosity, found in turn, have
+// to settle instead of chasing each other.
+TEST_F(Synth, TheLightOfAClosedRoomSettles) {
+  const ProcessResult made = make({"room", "--points", "30000", "--photographs", "12", "--size", "120x90"});
+  ASSERT_EQ(made.code, 0) << made.err;
+  const ProcessResult ran = run("out", {});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  const AlbedoError e = albedo_error(read_ply(at("out/albedo.ply")), truth());
+  const nlohmann::json lights = json("out/lights.json").at("acquisitions").at(0);
+  std::cout << "room: absolute " << e.absolute << ", scaled " << e.scaled << ", factor " << e.factor << ", bounce " << lights["bounce"] << ", flash " << lights["flash_intensity"] << '\n';
+  EXPECT_TRUE(lights["converged"].get<bool>());
+  EXPECT_NEAR(lights["bounce"].get<double>(), 1, 0.06);
+  EXPECT_NEAR(lights["flash_intensity"].get<double>(), 45, 0.02 * 45);
+  EXPECT_NEAR(e.factor, 1, 0.04);   // points lie 11 cm apart, and the paint's waves are half a metre: the pattern itself is blurred
+}
+
 }  // namespace
 }  // namespace chiaro::test
