@@ -16,9 +16,8 @@
 namespace chiaro::optimize {
 namespace {
 
-constexpr int kSmoothPasses = 4;
 constexpr int kFirstSweeps = 14, kLaterSweeps = 4;
-constexpr double kSweepTolerance = 1e-6, kOuterTolerance = 3e-5, kSettled = 1e-3;
+constexpr double kSweepTolerance = 1e-5, kOuterTolerance = 3e-5, kSettled = 1e-3;
 /// Pairs of one photograph overlap and texture is not noise: a fiftieth of their information counts as independent.
 constexpr double kPairInformation = 0.02;
 /// Of the factor on gathered light, by where the normals come from (measured at the true flash: 0 to 3 % and 3 to 5 %).
@@ -41,11 +40,20 @@ std::vector<surfels::View> views_of(const AcquisitionInput& input) {
   return views;
 }
 
-Vec3d flash_in_world(const AcquisitionInput& input, std::size_t k) { return input.photographs[k].camera.pose.world_from_camera(input.flash_in_camera); }
+std::optional<Vec3d> flash_in_world(const AcquisitionInput& input, std::size_t k) {
+  const ObserveInput& p = input.photographs[k];
+  if (!p.flash_in_camera) return std::nullopt;
+  return p.camera.pose.world_from_camera(*p.flash_in_camera);
+}
 
-LightSample sample_of(const Transport& transport, const Observation& o, const std::vector<float>& gathered, std::size_t i, std::uint32_t group) {
+/// The lights as a photograph of another exposure has them.
+Lights exposed(Lights lights, double ambient_scale) {
+  for (double& s : lights.sky) s *= ambient_scale;
+  return lights;
+}
+
+LightSample sample_of(const Transport& transport, const Observation& o, const std::vector<float>& gathered, std::size_t i) {
   LightSample s;
-  s.group = group;
   for (std::size_t c = 0; c < 3; ++c) {
     s.radiosity[c] = o.radiosity[3 * i + c];
     s.gathered[c] = gathered[3 * i + c];
@@ -177,9 +185,12 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
   const Vec3f middle = point / static_cast<float>(count), n = normal.normalized();
   reading.stencil = stencil_at(scene.proxy, *scene.nearest, middle, n);
   s.sky = interpolate<kSkyTerms>(reading.stencil, scene.transport.sky);
-  const Vec3f to_flash = (flash_in_world(input, target.photograph) - scene.proxy.origin_in_world).cast<float>() - middle;
-  const float cosine = std::max(0.05f, n.dot(to_flash.normalized()));
-  s.tan_flash = std::sqrt(std::max(0.0f, 1 - cosine * cosine)) / cosine;
+  for (float& t : s.sky) t *= static_cast<float>(photo.ambient_scale);
+  if (const auto at = flash_in_world(input, target.photograph)) {
+    const Vec3f to_flash = (*at - scene.proxy.origin_in_world).cast<float>() - middle;
+    const float cosine = std::max(0.05f, n.dot(to_flash.normalized()));
+    s.tan_flash = std::sqrt(std::max(0.0f, 1 - cosine * cosine)) / cosine;
+  }
   return reading;
 }
 
@@ -236,18 +247,27 @@ void guess_flash(const Scene& scene, const AcquisitionInput& input, const std::f
   lights.sky[0] = std::min(lights.sky[0], 0.0025 * lights.flash_intensity);
 }
 
-int sky_terms(SkyModel model) {
-  switch (model) {
-    case SkyModel::kNone: return 0;
-    case SkyModel::kUniform:
-    case SkyModel::kAuto: return 1;
-    case SkyModel::kSh1: return 4;
-    case SkyModel::kSh2: return 9;
+/// How the ambient light is described.
+struct SkyShape {
+  int terms = 1;           ///< 0, 1, 4 or 9
+  bool coloured = false;
+  std::string name() const {
+    const char* shape = terms == 0 ? "none" : terms == 1 ? "uniform" : terms == 4 ? "sh1" : "sh2";
+    return std::string(shape) + (coloured ? " coloured" : "");
   }
-  return 1;
-}
+  int parameters() const { return terms + (coloured ? 2 : 0); }
+};
 
-const char* sky_name(int terms) { return terms == 0 ? "none" : terms == 1 ? "uniform" : terms == 4 ? "sh1" : "sh2"; }
+SkyShape sky_shape(SkyModel model) {
+  switch (model) {
+    case SkyModel::kNone: return {0};
+    case SkyModel::kUniform:
+    case SkyModel::kAuto: return {1};
+    case SkyModel::kSh1: return {4};
+    case SkyModel::kSh2: return {9};
+  }
+  return {1};
+}
 
 /// Mean log albedo of every surfel over the photographs that see it.
 struct AlbedoMean {
@@ -258,7 +278,7 @@ struct AlbedoMean {
     parallel_blocks(weight.size(), 4096, [&](std::size_t b, std::size_t e) {
       for (std::size_t i = b; i < e; ++i) {
         if (!o.seen[i]) continue;
-        const LightSample s = sample_of(transport, o, g, i, 0);
+        const LightSample s = sample_of(transport, o, g, i);
         const float w = static_cast<float>(sample_weight(lights, s));
         double ln[3];
         bool fine = true;
@@ -307,19 +327,22 @@ std::vector<std::uint32_t> nearest_seen_surfels(const Proxy& proxy, const std::v
   return result;
 }
 
-/// How far the lights moved: ln flash, sky relative to the flash, bounce, all of the order of one.
-using LightStep = Eigen::Matrix<double, kSkyTerms + 2, 1>;
+/// How far the lights moved: ln flash, sky relative to the flash, its colour, bounce, all of the order of one.
+using LightStep = Eigen::Matrix<double, kSkyTerms + 4, 1>;
 
 LightStep light_step(const Lights& from, const Lights& to) {
   LightStep v;
   v[0] = std::log(to.flash_intensity / from.flash_intensity);
-  for (std::size_t k = 0; k < kSkyTerms; ++k) v[1 + static_cast<Eigen::Index>(k)] = to.sky[k] / to.flash_intensity - from.sky[k] / from.flash_intensity;
-  v[kSkyTerms + 1] = to.bounce - from.bounce;
+  for (std::size_t k = 0; k < kSkyTerms; ++k)
+    v[1 + static_cast<Eigen::Index>(k)] = to.sky[k] / to.flash_intensity - from.sky[k] / from.flash_intensity;
+  v[kSkyTerms + 1] = to.sky_colour[0] - from.sky_colour[0];
+  v[kSkyTerms + 2] = to.sky_colour[2] - from.sky_colour[2];
+  v[kSkyTerms + 3] = to.bounce - from.bounce;
   return v;
 }
 
 double light_change(const Lights& a, const Lights& b) {
-  return std::fabs(std::log(b.flash_intensity / a.flash_intensity)) + std::fabs(b.bounce - a.bounce) +
+  return std::fabs(std::log(b.flash_intensity / a.flash_intensity)) + std::fabs(b.bounce - a.bounce) + std::fabs(b.sky_colour[0] - a.sky_colour[0]) + std::fabs(b.sky_colour[2] - a.sky_colour[2]) +
          std::fabs(b.sky[0] - a.sky[0]) / std::max(1e-9, b.sky[0] + 0.01 * b.flash_intensity);
 }
 
@@ -374,22 +397,30 @@ class LightProblem {
 
   /// Alternates between what unseen surfels radiate and the lights until nothing moves. Plain alternation overshoots where unseen surfaces give most of the light (in a
   /// closed room it ends in a cycle), so the step is relaxed.
-  LightSolution solve(int terms, const Lights& start, int& outer, double& change, Reporter& report) {
+  LightSolution solve(SkyShape sky, bool choose_sky, const Lights& start, int& outer, double& change, Reporter& report) {
+    sky_ = sky;
     LightSolution solution;
     solution.lights = start;
     std::vector<float> albedo(3 * scene_.proxy.size(), 0.3f);
     Relaxation relaxation;
-    for (outer = 0; outer < options_.outer_iterations; ++outer) {
+    int most = options_.outer_iterations;
+    for (outer = 0; outer < most; ++outer) {
       report.check();
       albedo = sweep(solution.lights, albedo, outer < 2 ? kFirstSweeps : kLaterSweeps, relaxation.share());
       const Lights before = solution.lights;
-      LightSolveOptions light_options = solve_options(input_, start, !references_.empty(), terms, use_pairs_, bounce_sd_);
-      if (without_bounces_) light_options.bounce_mean = light_options.bounce_sd = 0;
+      const LightSolveOptions light_options = current_options(start);
       solution = solve_lights(samples_, current_references(), light_options, before);
       if (outer == kBounceCheck && !without_bounces_) check_bounces(light_options, solution);
       change = light_change(before, solution.lights);
-      report.progress(static_cast<std::uint64_t>(outer + 1));
-      if (outer > kBounceCheck && change < kOuterTolerance) break;
+      report.progress(static_cast<std::uint64_t>(std::min(outer + 1, options_.outer_iterations)));
+      const bool settled = outer > kBounceCheck && change < kOuterTolerance;
+      if (choose_sky && (change < kSettled || outer + 1 == most) && outer > kBounceCheck) {
+        choose_sky = false;
+        if (!choose_richer_sky(start, solution) && settled) break;
+        most = outer + 1 + options_.outer_iterations;
+      } else if (settled) {
+        break;
+      }
       if (outer > 0) relaxation.observe(light_step(before, solution.lights));
       albedo = mean_albedo(solution.lights);
     }
@@ -399,11 +430,45 @@ class LightProblem {
     return solution;
   }
 
+  SkyShape sky() const { return sky_; }
+  const std::vector<SkyEvidence>& sky_evidence() const { return sky_evidence_; }
   const std::vector<float>& albedo() const { return albedo_; }
   bool without_bounces() const { return without_bounces_; }
 
  private:
   static constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
+
+  LightSolveOptions current_options(const Lights& start) const {
+    LightSolveOptions o = solve_options(input_, start, !references_.empty(), sky_.terms, use_pairs_, bounce_sd_);
+    o.sky_colour = sky_.coloured;
+    if (without_bounces_) o.bounce_mean = o.bounce_sd = 0;
+    return o;
+  }
+
+  /// Tries richer models of the ambient light on what is gathered now, and takes the one with the smallest Bayesian information criterion: misfit, and
+  /// ln(residuals) / 2 for each parameter. One photograph supports none (physics.md E.4). Returns whether the model has changed.
+  bool choose_richer_sky(const Lights& start, LightSolution& solution) {
+    if (use_pairs_) return false;
+    const SkyShape plain = sky_;
+    const LightSolveOptions plain_options = current_options(start);
+    const Lights base = solution.lights;
+    const double price = std::log(std::max(2.0, independent_residuals(samples_, plain_options))), reference = 2 * light_misfit(samples_, plain_options, base, base) + price * plain.parameters();
+    SkyShape best = plain;
+    double least = 0;
+    sky_evidence_ = {{plain.name(), plain.parameters(), 0}};
+    for (const SkyShape& candidate : {SkyShape{1, true}, SkyShape{4, false}, SkyShape{4, true}, SkyShape{9, false}, SkyShape{9, true}}) {
+      sky_ = candidate;
+      const LightSolution tried = solve_lights(samples_, current_references(), current_options(start), base);
+      const double criterion = 2 * light_misfit(samples_, plain_options, tried.lights, base) + price * candidate.parameters() - reference;
+      sky_evidence_.push_back({candidate.name(), candidate.parameters(), criterion});
+      if (!(criterion < least)) continue;
+      least = criterion;
+      best = candidate;
+      solution = tried;
+    }
+    sky_ = best;
+    return best.name() != plain.name();
+  }
 
   /// Photographs may hold no interreflection at all (they were corrected before, or composed). If leaving it out explains them far better, it is left out.
   void check_bounces(const LightSolveOptions& options, LightSolution& solution) {
@@ -420,6 +485,15 @@ class LightProblem {
     solution = references_.empty() ? without : solve_lights(samples_, current_references(), no_bounces, start);
   }
 
+  double ambient_scale(std::size_t k) const { return input_.photographs[k].ambient_scale; }
+
+  void add_sample(std::size_t k, const Observation& o, const std::vector<float>& g, std::size_t i, std::uint32_t group) {
+    LightSample s = sample_of(scene_.transport, o, g, i);
+    s.group = group;
+    for (float& t : s.sky) t *= static_cast<float>(ambient_scale(k));
+    samples_.push_back(s);
+  }
+
   Observation read(std::size_t k) const { return read_observation(observation_path(folder_, k), scene_.proxy.size()); }
 
   /// One pass over the photographs: completes their radiosity under the lights (`share` of it new), refreshes the samples, and returns the new mean albedo.
@@ -430,21 +504,21 @@ class LightProblem {
       Observation o = read(k);
       std::vector<float> before;
       if (share < 1) before = o.radiosity;
-      std::vector<float> g = complete_radiosity(scene_.transport, smoother_, kSmoothPasses, lights, albedo, o, max_sweeps, kSweepTolerance);
+      std::vector<float> g = complete_radiosity(scene_.transport, smoother_, kSmoothPasses, exposed(lights, ambient_scale(k)), albedo, o, max_sweeps, kSweepTolerance);
       if (share < 1) {   // gathering is linear: what holds for the radiosity holds for G
         blend_into(o.radiosity, before, share);
         blend_into(g, read_floats(gathered_path(folder_, k), g.size()), share);
       }
-      mean.add(scene_.transport, o, g, lights);
+      mean.add(scene_.transport, o, g, exposed(lights, ambient_scale(k)));
       if (use_pairs_) {
         for (std::size_t p = 0; p < pairs_.size(); ++p)
           for (const std::uint32_t i : {pairs_[p].a, pairs_[p].b}) {
-            samples_.push_back(sample_of(scene_.transport, o, g, i, static_cast<std::uint32_t>(p)));
+            add_sample(k, o, g, i, static_cast<std::uint32_t>(p));
             samples_.back().trust = pairs_[p].trust;
           }
       } else {
         for (const std::uint32_t i : chosen_)
-          if (o.seen[i]) samples_.push_back(sample_of(scene_.transport, o, g, i, i));
+          if (o.seen[i]) add_sample(k, o, g, i, i);
       }
       for (ReferenceReading& r : references_)
         if (r.photograph == k) r.reference.sample.gathered = interpolate<3>(r.stencil, g);
@@ -459,7 +533,7 @@ class LightProblem {
   /// or the iteration overshoots.
   std::vector<float> mean_albedo(const Lights& lights) const {
     AlbedoMean mean(scene_.proxy.size());
-    for (const std::size_t k : photographs_) mean.add(scene_.transport, read(k), read_floats(gathered_path(folder_, k), 3 * scene_.proxy.size()), lights);
+    for (const std::size_t k : photographs_) mean.add(scene_.transport, read(k), read_floats(gathered_path(folder_, k), 3 * scene_.proxy.size()), exposed(lights, ambient_scale(k)));
     return mean.albedo(nearest_seen_);
   }
 
@@ -482,6 +556,8 @@ class LightProblem {
   std::vector<ReferenceReading> references_;
   std::vector<LightSample> samples_;
   std::vector<float> albedo_;
+  SkyShape sky_;
+  std::vector<SkyEvidence> sky_evidence_;
   bool use_pairs_ = false, without_bounces_ = false;
 };
 
@@ -500,6 +576,7 @@ LightSolution solve_with_adam(const Scene& scene, const Smoother& smoother, cons
   solution.iterations = options.search_steps * options.search_iterations + options.iterations;
   // The solver reports no uncertainty of its own: the calibrated interval is all that is known about its lights.
   const double sd = 0.25 * std::log((*input.intensity_range)[1] / (*input.intensity_range)[0]);
+  solution.sky_terms = 1;
   solution.covariance = Eigen::MatrixXd::Zero(3, 3);
   solution.covariance(0, 0) = sd * sd;
   const std::vector<float> direct = direct_irradiance(scene.transport, o.flash, solution.lights);
@@ -563,7 +640,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
     report.begin("observe", count, "photographs");
     for (std::size_t k = 0; k < count; ++k) {
       Observation o = observe(scene.proxy, input.photographs[k]);
-      cast_flash(scene.proxy, tracer, flash_in_world(input, k), o);
+      if (const auto flash = flash_in_world(input, k)) cast_flash(scene.proxy, tracer, *flash, o);
       write_observation(o, observation_path(folder, k));
       report.progress(k + 1);
       report.check();
@@ -571,13 +648,16 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
     report.end();
   }
   const Smoother smoother = make_smoother(scene.proxy, *scene.nearest);
-  const int terms = sky_terms(input.sky);
-  result.sky_model = sky_name(terms);
+  result.light_of_photograph.assign(count, 0);
+  std::vector<std::size_t> with_flash, without_flash;
+  for (std::size_t k = 0; k < count; ++k) (input.photographs[k].flash_in_camera ? with_flash : without_flash).push_back(k);
+  const SkyShape sky = sky_shape(input.sky);
+  result.sky_model = sky.name();
   std::vector<float> albedo(3 * scene.proxy.size(), 0.3f);
   if (input.method == Method::kAdam) {
-    for (std::size_t k = 0; k < count; ++k) {
+    for (const std::size_t k : with_flash) {
+      result.light_of_photograph[k] = result.lights.size();
       result.lights.push_back(solve_with_adam(scene, smoother, input, k, folder, albedo, report));
-      result.light_of_photograph.push_back(k);
     }
   } else if (input.method == Method::kDirect) {
     LightSolution solution;
@@ -587,23 +667,29 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
     solution.covariance = Eigen::MatrixXd::Zero(2, 2);
     if (input.intensity_range) solution.covariance(0, 0) = std::pow(0.25 * std::log((*input.intensity_range)[1] / (*input.intensity_range)[0]), 2);
     result.lights.push_back(solution);
-    result.light_of_photograph.assign(count, 0);
   } else {
     std::vector<std::vector<std::size_t>> problems;
     if (input.method == Method::kJoint) {
       problems.emplace_back(count);
       std::iota(problems[0].begin(), problems[0].end(), std::size_t{0});
     } else {
-      for (std::size_t k = 0; k < count; ++k) problems.push_back({k});
+      for (const std::size_t k : with_flash) {
+        problems.push_back({k});
+        problems.back().insert(problems.back().end(), without_flash.begin(), without_flash.end());
+      }
     }
     for (const auto& photographs : problems) {
       LightProblem problem(scene, smoother, input, options, photographs, folder, store.manifest().normals_from_file ? kBounceSdGiven : kBounceSdEstimated);
-      Lights start = start_lights(input, terms);
+      Lights start = start_lights(input, sky.terms);
       guess_flash(scene, input, folder, start);
       report.begin(problems.size() > 1 ? concat("light ", input.names[photographs[0]]) : "light", static_cast<std::uint64_t>(options.outer_iterations), "iterations");
-      result.lights.push_back(problem.solve(terms, start, result.outer_iterations, result.last_change, report));
+      const std::size_t number = result.lights.size();
+      result.lights.push_back(problem.solve(sky, input.sky == SkyModel::kAuto, start, result.outer_iterations, result.last_change, report));
       report.end();
-      for (std::size_t i = 0; i < photographs.size(); ++i) result.light_of_photograph.push_back(result.lights.size() - 1);
+      for (const std::size_t k : photographs)
+        if (number == 0 || input.photographs[k].flash_in_camera) result.light_of_photograph[k] = number;
+      result.sky_model = problem.sky().name();
+      result.sky_evidence = problem.sky_evidence();
       albedo = problem.albedo();
       if (!result.lights.back().converged)
         result.notes.push_back(concat(input.names[photographs[0]], photographs.size() > 1 ? " and the others of the acquisition" : "", ": the lights had not settled after ", result.outer_iterations,

@@ -27,10 +27,9 @@ struct ReferenceTarget {
 struct AcquisitionInput {
   std::vector<ObserveInput> photographs;
   std::vector<std::string> names;
-  Vec3d flash_in_camera = Vec3d::Zero();
   std::optional<std::array<double, 2>> intensity_range;   ///< about +-2 sigma
   std::vector<ReferenceTarget> references;
-  SkyModel sky = SkyModel::kAuto;
+  SkyModel sky = SkyModel::kAuto;          ///< kAuto: as much as an information criterion finds worth its parameters
   Method method = Method::kJoint;
 };
 
@@ -43,15 +42,23 @@ struct AcquisitionOptions {
   std::size_t light_samples = 20000;       ///< surfels that the lights are solved from
 };
 
+/// What speaks for one model of the ambient light: Bayesian information criterion, smaller is better.
+struct SkyEvidence {
+  std::string model;
+  int parameters = 0;
+  double criterion = 0;                    ///< beside the uniform grey sky's
+};
+
 /// What the albedo stage needs, on disk under `folder`: transport.bin, observation_K.bin, gathered_K.bin (G of photograph K, N * 3 floats).
 struct AcquisitionResult {
-  std::vector<LightSolution> lights;       ///< one for the acquisition (joint), or one per photograph (single, adam)
+  std::vector<LightSolution> lights;       ///< one for the acquisition (joint), or one per flash photograph (single, adam)
   std::vector<std::size_t> light_of_photograph;
   std::size_t proxy_surfels = 0, proxy_seen = 0;
   double back_share = 0;
   int outer_iterations = 0;
   double last_change = 0;
-  std::string sky_model;                   ///< "none", "uniform", "sh1", "sh2"
+  std::string sky_model;                   ///< "none", "uniform", "sh1", "sh2", with " coloured" where the sky has a colour of its own
+  std::vector<SkyEvidence> sky_evidence;   ///< of the models that kAuto tried
   std::vector<std::string> notes;
 };
 

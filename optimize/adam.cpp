@@ -98,7 +98,7 @@ double adam_loss(const Transport& transport, const Observation& o, const AdamSta
   for (std::size_t k = 0; k < gathered.size(); ++k) {
     if (k > 0) gather_radiosity(transport, b, gathered[k]);
     for (std::size_t i = 0; i < n; ++i)
-      for (std::size_t c = 3 * i; c < 3 * i + 3; ++c) b[c] = x.albedo[c] * (direct[i] + gathered[k][c]);
+      for (std::size_t c = 3 * i; c < 3 * i + 3; ++c) b[c] = x.albedo[c] * (direct[c] + gathered[k][c]);
   }
   std::size_t count = 0;
   for (const std::uint8_t s : o.seen) count += s;
@@ -120,7 +120,7 @@ double adam_loss(const Transport& transport, const Observation& o, const AdamSta
   for (std::size_t k = gathered.size(); k-- > 0;) {
     for (std::size_t i = 0; i < n; ++i)
       for (std::size_t c = 3 * i; c < 3 * i + 3; ++c) {
-        gradient->albedo[c] += lambda[c] * (direct[i] + gathered[k][c]);
+        gradient->albedo[c] += lambda[c] * (direct[c] + gathered[k][c]);
         weighted[c] = lambda[c] * x.albedo[c];
         gradient->flash_intensity += static_cast<double>(weighted[c] * o.flash[i]);
         gradient->ambient += static_cast<double>(weighted[c] * transport.sky[i * kSkyTerms]);

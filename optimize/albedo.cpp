@@ -70,16 +70,17 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
     s.gathered = interpolate<3>(stencil, c.gathered);
   }
   const double direct = lights.flash_intensity * static_cast<double>(s.flash);
-  double ambient = 0;
+  double sky = 0, ambient = 0;   // as it falls in, before its colour; mean of the channels
   if (!c.options.direct_only)
-    for (std::size_t k = 0; k < kSkyTerms; ++k) ambient += lights.sky[k] * static_cast<double>(s.sky[k]);
-  ambient = std::max(0.0, ambient);
+    for (std::size_t k = 0; k < kSkyTerms; ++k) sky += lights.sky[k] * static_cast<double>(s.sky[k]);
+  sky = c.photograph.ambient_scale * std::max(0.0, sky);
   const float colour[3] = {band.r[i], band.g[i], band.b[i]};
   double indirect_mean = 0, total_mean = 0;
   std::array<double, 3> h{};
   for (std::size_t ch = 0; ch < 3; ++ch) {
     const double indirect = c.options.direct_only ? 0.0 : lights.bounce * static_cast<double>(s.gathered[ch]);
-    h[ch] = direct + ambient + indirect;
+    h[ch] = direct + lights.sky_colour[ch] * sky + indirect;
+    ambient += lights.sky_colour[ch] * sky / 3;
     indirect_mean += indirect / 3;
     total_mean += h[ch] / 3;
   }
@@ -116,7 +117,11 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   if (terms >= 2) {
     Eigen::VectorXd j = Eigen::VectorXd::Zero(terms);
     j[0] = sd;
-    for (int k = 0; k + 2 < terms; ++k) j[1 + k] = static_cast<double>(s.sky[static_cast<std::size_t>(k)]) / total_mean;
+    for (int k = 0; k < c.solution.sky_terms; ++k) j[1 + k] = c.photograph.ambient_scale * static_cast<double>(s.sky[static_cast<std::size_t>(k)]) / total_mean;
+    if (c.solution.sky_colour) {   // ln red and ln blue, in the mean over the channels
+      j[terms - 3] = lights.sky_colour[0] * sky / (3 * total_mean);
+      j[terms - 2] = lights.sky_colour[2] * sky / (3 * total_mean);
+    }
     j[terms - 1] = sg / std::max(1e-9, lights.bounce);
     light = j.dot(c.solution.covariance * j);
   }

@@ -16,10 +16,12 @@ namespace chiaro::optimize {
 inline constexpr int kSkyTerms = 9;
 void sky_basis(const Vec3f& direction, float* terms);
 
+inline constexpr int kSmoothPasses = 4;   ///< over 16 neighbours of like normal, of whatever was gathered
+
 struct GatherOptions {
   int rays = 64;            ///< per surfel, cosine-distributed
   std::uint64_t seed = 1;
-  int smooth_passes = 4;    ///< over 16 neighbours of like normal
+  int smooth_passes = kSmoothPasses;
 };
 
 struct Transport {

@@ -9,7 +9,7 @@
 namespace chiaro::optimize {
 namespace {
 
-constexpr int kMaxParameters = kSkyTerms + 2;
+constexpr int kMaxParameters = kSkyTerms + 4;
 using VecP = Eigen::Matrix<double, kMaxParameters, 1>;
 using MatP = Eigen::Matrix<double, kMaxParameters, kMaxParameters>;
 
@@ -17,15 +17,19 @@ constexpr double kModelSd = 0.02;                    ///< relative model error t
 constexpr double kNormalSd = 0.01745;                ///< one degree
 constexpr double kGatherSd = 0.03;                   ///< relative error of smoothed sky and bounce terms
 constexpr double kShadowSd = 0.02;                   ///< relative error of the gathered light that all places where it prevails share: cuts, unseen surfaces (measured 1.3 %)
+constexpr double kSkyColourSd = 0.5;                 ///< of ln red and ln blue of the ambient light beside green: a candle is 1.2 off, shade -0.3
 constexpr double kWhiteSd = 0.1;                     ///< of ln albedo above 1
 constexpr double kCauchy = 2.385;                    ///< 95 % efficiency for normal residuals (Holland & Welsch 1977)
 constexpr std::size_t kGroupGrain = 256;
 
-/// Parameters: 0 = ln flash, 1 .. sky_terms = sky, sky_terms + 1 = bounce.
+/// Parameters: 0 = ln flash, 1 .. sky_terms = sky, then ln red and ln blue of the sky if they are solved, last = bounce.
 struct Layout {
   int sky_terms;
-  int bounce() const { return sky_terms + 1; }
-  int size() const { return sky_terms + 2; }
+  bool coloured;
+  int red() const { return sky_terms + 1; }
+  int blue() const { return sky_terms + 2; }
+  int bounce() const { return sky_terms + (coloured ? 3 : 1); }
+  int size() const { return bounce() + 1; }
 };
 
 struct Group {
@@ -50,7 +54,14 @@ bool residual(const Lights& x, const LightSample& s, int c, const Layout& layout
   r = std::log(b / h);
   j.setZero();
   j[0] = -x.flash_intensity * static_cast<double>(s.flash) / h;
-  for (int k = 0; k < layout.sky_terms; ++k) j[1 + k] = -static_cast<double>(s.sky[static_cast<std::size_t>(k)]) / h;
+  const double colour = x.sky_colour[static_cast<std::size_t>(c)];
+  double sky = 0;
+  for (int k = 0; k < layout.sky_terms; ++k) {
+    const double t = colour * static_cast<double>(s.sky[static_cast<std::size_t>(k)]);
+    j[1 + k] = -t / h;
+    sky += x.sky[static_cast<std::size_t>(k)] * t;
+  }
+  if (layout.coloured && c != 1) j[c == 0 ? layout.red() : layout.blue()] = -sky / h;
   j[layout.bounce()] = -static_cast<double>(s.gathered[static_cast<std::size_t>(c)]) / h;
   return true;
 }
@@ -199,7 +210,7 @@ void add_references(const Lights& x, const Lights& weigh, std::span<const Refere
     }
 }
 
-void add_priors(const Lights& x, const LightSolveOptions& options, const Layout& layout, Normal& n) {
+void add_priors(const Lights& x, const Lights& weigh, const LightSolveOptions& options, const Layout& layout, Normal& n) {
   if (options.flash_ln_mean) {
     const double w = 1.0 / (*options.flash_ln_sd * *options.flash_ln_sd), r = std::log(x.flash_intensity) - *options.flash_ln_mean;
     n.a(0, 0) += w;
@@ -211,11 +222,19 @@ void add_priors(const Lights& x, const LightSolveOptions& options, const Layout&
   n.a(b, b) += w;
   n.g[b] -= w * r;
   n.objective += 0.5 * w * r * r;
+  if (layout.coloured)
+    for (const auto& [at, colour] : {std::pair{layout.red(), x.sky_colour[0]}, std::pair{layout.blue(), x.sky_colour[2]}}) {
+      constexpr double kWeight = 1 / (kSkyColourSd * kSkyColourSd);
+      n.a(at, at) += kWeight;
+      n.g[at] -= kWeight * std::log(colour);
+      n.objective += 0.5 * kWeight * std::log(colour) * std::log(colour);
+    }
   // Directional sky terms are small against the mean: a weak pull to zero keeps unseen directions quiet.
   for (int k = 1; k < layout.sky_terms; ++k) {
-    const double scale = std::max(x.sky[0], 1e-6 * x.flash_intensity), ws = 1.0 / (scale * scale);
+    const double scale = std::max(weigh.sky[0], 1e-6 * weigh.flash_intensity), ws = 1.0 / (scale * scale), value = x.sky[static_cast<std::size_t>(k)];
     n.a(1 + k, 1 + k) += ws;
-    n.g[1 + k] -= ws * x.sky[static_cast<std::size_t>(k)];
+    n.g[1 + k] -= ws * value;
+    n.objective += 0.5 * ws * value * value;
   }
 }
 
@@ -224,15 +243,30 @@ Lights stepped(const Lights& x, const VecP& step, const Layout& layout) {
   y.flash_intensity *= std::exp(std::clamp(step[0], -1.0, 1.0));
   for (int k = 0; k < layout.sky_terms; ++k) y.sky[static_cast<std::size_t>(k)] += step[1 + k];
   if (layout.sky_terms > 0) y.sky[0] = std::max(0.0, y.sky[0]);
+  if (layout.coloured) {
+    y.sky_colour[0] *= std::exp(std::clamp(step[layout.red()], -0.5, 0.5));
+    y.sky_colour[2] *= std::exp(std::clamp(step[layout.blue()], -0.5, 0.5));
+  }
   y.bounce = std::clamp(y.bounce + step[layout.bounce()], 0.0, 2.0);
   return y;
+}
+
+double residuals_of(const std::vector<Group>& groups) {
+  double residuals = 0;
+  for (const Group& g : groups) residuals += 3.0 * static_cast<double>(g.end - g.begin - 1);
+  return residuals;
+}
+
+double information_of(const std::vector<Group>& groups, const LightSolveOptions& options) {
+  return std::min(options.information, options.independent_residuals / std::max(1.0, residuals_of(groups)));
 }
 
 }  // namespace
 
 double irradiance(const Lights& lights, const LightSample& s, int c) {
   double h = lights.flash_intensity * static_cast<double>(s.flash) + lights.bounce * static_cast<double>(s.gathered[static_cast<std::size_t>(c)]);
-  for (std::size_t k = 0; k < kSkyTerms; ++k) h += lights.sky[k] * static_cast<double>(s.sky[k]);
+  const double colour = lights.sky_colour[static_cast<std::size_t>(c)];
+  for (std::size_t k = 0; k < kSkyTerms; ++k) h += colour * lights.sky[k] * static_cast<double>(s.sky[k]);
   return h;
 }
 
@@ -241,8 +275,20 @@ double sample_weight(const Lights& lights, const LightSample& s) {
   return 1.0 / (kModelSd * kModelSd + light_variance(lights, s));
 }
 
+double independent_residuals(std::span<const LightSample> samples, const LightSolveOptions& options) {
+  const std::vector<Group> groups = groups_of(samples);
+  return information_of(groups, options) * residuals_of(groups);
+}
+
+double light_misfit(std::span<const LightSample> samples, const LightSolveOptions& options, const Lights& lights, const Lights& base) {
+  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0};
+  const std::vector<Group> groups = groups_of(samples);
+  const double scale = kCauchy * std::max(robust_scale(base, samples, groups, layout).first, 0.1), dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy));
+  return accumulate(lights, base, samples, groups, layout, scale).objective * information_of(groups, options) / (dispersion * dispersion);
+}
+
 LightSolution solve_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& start) {
-  const Layout layout{options.sky_terms};
+  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0};
   const std::vector<Group> groups = groups_of(samples);
   if (groups.empty() && references.empty() && !options.flash_ln_mean)
     throw Error("lights: no surfel is seen twice, nothing of known albedo is given and the flash has no calibrated range: the light cannot be found");
@@ -250,10 +296,11 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
   solution.groups = groups.size();
   solution.samples = samples.size();
   solution.scale_known = (options.flash_ln_mean && !options.flash_is_guess) || !references.empty();
-  double residuals = 0;
-  for (const Group& g : groups) residuals += 3.0 * static_cast<double>(g.end - g.begin - 1);
-  const double information = std::min(options.information, options.independent_residuals / std::max(1.0, residuals));
+  solution.sky_terms = layout.sky_terms;
+  solution.sky_colour = layout.coloured;
+  const double information = information_of(groups, options);
   Lights x = start;
+  if (!layout.coloured) x.sky_colour = {1, 1, 1};
   for (int k = options.sky_terms; k < kSkyTerms; ++k) x.sky[static_cast<std::size_t>(k)] = 0;
   const int p = layout.size();
   double damping = 1e-4;
@@ -267,7 +314,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
     n.objective *= independent / dispersion;
     n.meat *= independent / (dispersion * dispersion);
     add_references(at, weigh, references, layout, n);
-    add_priors(at, options, layout, n);
+    add_priors(at, weigh, options, layout, n);
     return n;
   };
   double scale = kCauchy * std::max(robust_scale(x, samples, groups, layout).first, 0.1);
@@ -296,7 +343,8 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
       solution.converged = true;   // no step is short enough to improve it
       break;
     }
-    const double change = std::fabs(std::log(y.flash_intensity / x.flash_intensity)) + std::fabs(y.sky[0] - x.sky[0]) / std::max(1e-9, y.sky[0] + 1e-3 * y.flash_intensity);
+    const double change = std::fabs(std::log(y.flash_intensity / x.flash_intensity)) + std::fabs(y.sky[0] - x.sky[0]) / std::max(1e-9, y.sky[0] + 1e-3 * y.flash_intensity) +
+                          std::fabs(y.sky_colour[0] - x.sky_colour[0]) + std::fabs(y.sky_colour[2] - x.sky_colour[2]);
     x = y;
     damping = std::max(damping * 0.1, 1e-9);
     if (change < 1e-7 && it > 3) {
@@ -315,7 +363,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
   bread = a.ldlt().solve(Eigen::MatrixXd::Identity(p, p));
   Normal outside;
   add_references(x, x, references, layout, outside);
-  add_priors(x, options, layout, outside);
+  add_priors(x, x, options, layout, outside);
   const Eigen::MatrixXd meat = here.meat.topLeftCorner(p, p) + outside.a.topLeftCorner(p, p);
   const Eigen::VectorXd systematic = kShadowSd * (bread * here.shadow.head(p));
   solution.covariance = bread * meat * bread.transpose() + systematic * systematic.transpose();

@@ -13,10 +13,11 @@
 
 namespace chiaro::optimize {
 
-/// H = flash_intensity * d + sum_b sky[b] * T_b + bounce * G, irradiance per colour channel (grey lights).
+/// H = flash_intensity * d + sky_colour * sum_b sky[b] * T_b + bounce * G, irradiance per colour channel. The flash is grey: it is what white is measured by.
 struct Lights {
   double flash_intensity = 1;                 ///< W/sr in the photographs' radiometric unit
   std::array<double, kSkyTerms> sky{};        ///< sky[0]: ambient radiance; then the terms of sky_basis()
+  std::array<double, 3> sky_colour{1, 1, 1};  ///< of the ambient light beside the flash's; green is 1
   double bounce = 1;                          ///< factor on the gathered light; 1 within what the transport is good for
 };
 
@@ -39,6 +40,7 @@ struct ReferenceSample {
 
 struct LightSolveOptions {
   int sky_terms = 1;                          ///< 0, 1, 4 or 9
+  bool sky_colour = false;                    ///< red and blue of the sky are unknowns too; needs sky_terms > 0
   std::optional<double> flash_ln_mean, flash_ln_sd;   ///< prior on ln flash_intensity
   bool flash_is_guess = false;                ///< that prior keeps the scale sane and is no knowledge of it
   double bounce_mean = 1, bounce_sd = 0.05;   ///< prior on bounce; sd 0 = fixed at the mean
@@ -49,7 +51,9 @@ struct LightSolveOptions {
 
 struct LightSolution {
   Lights lights;
-  Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), bounce): sandwich estimate, priors and the common error of gathered light included
+  int sky_terms = 0;
+  bool sky_colour = false;
+  Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), ln red and ln blue of the sky if solved, bounce): sandwich estimate, priors and the common error of gathered light included
   double scatter = 0;                         ///< robust standard deviation of ln albedo between samples of a group
   std::size_t groups = 0, samples = 0;
   int iterations = 0;
@@ -62,6 +66,12 @@ double irradiance(const Lights& lights, const LightSample& sample, int c);
 
 /// Base weight of a sample: 1 / variance of ln(B / H) expected from noise, normals, sub-pixel spread and gather noise.
 double sample_weight(const Lights& lights, const LightSample& sample);
+
+/// -ln likelihood of the samples under `lights`, up to a constant that all lights share: robust, and counting the samples for as many independent residuals as
+/// solve_lights() does. Weights and scale are those of `base`, so that two lights can be compared.
+double light_misfit(std::span<const LightSample> samples, const LightSolveOptions& options, const Lights& lights, const Lights& base);
+/// Independent residuals that the samples count for.
+double independent_residuals(std::span<const LightSample> samples, const LightSolveOptions& options);
 
 /// throws Error if there is nothing to solve from (no group with two samples and no reference).
 LightSolution solve_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& start);

@@ -20,6 +20,8 @@ struct ObserveInput {
   stream::Camera camera;
   std::filesystem::path radiance, gbuffer;   ///< rasters of stream/photo/develop.h and surfels/gbuffer.h
   PixelNoise noise;
+  std::optional<Vec3d> flash_in_camera;      ///< project units; absent: taken without flash
+  double ambient_scale = 1;                  ///< exposure to the ambient light beside the acquisition's: ratio of the shutter times
 };
 
 /// One photograph on the proxy; arrays of N (colour: 3 N interleaved).

@@ -9,7 +9,7 @@
 
 namespace chiaro::optimize {
 
-/// Irradiance without bounces: flash and sky. N values (grey).
+/// Irradiance without bounces: flash and sky. 3 N values.
 std::vector<float> direct_irradiance(const Transport& transport, std::span<const float> flash, const Lights& lights);
 
 /// B of unseen surfels = albedo * (direct + bounce * F B), by sweeps that start from what o.radiosity holds; seen surfels keep their measurement.

@@ -53,7 +53,7 @@ std::vector<float> bounced_light(const stream::Store& store, const Scene& scene,
   const std::vector<float> b = forward_radiosity(scene.transport, proxy_albedo, direct, lights.bounce, scatterings);
   std::vector<float> g;
   gather_radiosity(scene.transport, b, g);
-  make_smoother(scene.proxy, *scene.nearest).apply(g, 3, 2);
+  make_smoother(scene.proxy, *scene.nearest).apply(g, 3, kSmoothPasses);
   return g;
 }
 
@@ -129,7 +129,7 @@ struct Shader {
       const auto g = interpolate<3>(stencil, gathered);
       double ambient = 0;
       for (std::size_t k = 0; k < kSkyTerms; ++k) ambient += lights.sky[k] * static_cast<double>(sky[k]);
-      for (int c = 0; c < 3; ++c) radiance[c] += albedo[c] * (static_cast<float>(std::max(0.0, ambient)) + static_cast<float>(lights.bounce) * g[static_cast<std::size_t>(c)]);
+      for (int c = 0; c < 3; ++c) radiance[c] += albedo[c] * (static_cast<float>(lights.sky_colour[static_cast<std::size_t>(c)] * std::max(0.0, ambient)) + static_cast<float>(lights.bounce) * g[static_cast<std::size_t>(c)]);
     }
     return radiance * (coverage / kPi);
   }

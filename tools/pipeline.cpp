@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 
@@ -40,12 +41,17 @@ struct Photo {
   std::size_t index_in_acquisition = 0;   ///< of the project, for references
   stream::Camera camera;
   optimize::PixelNoise noise;
+  std::size_t index_in_lights = 0;        ///< among all photographs that share their lights
   std::string radiance_key, gbuffer_key, albedo_key;
 };
 
 struct Shoot {
   const Acquisition* acquisition = nullptr;
   std::vector<Photo> photos;
+  std::size_t lead = 0;                   ///< number of the shoot whose lights these photographs share: most often its own
+  double ambient_scale = 1;               ///< shutter time beside the lead's
+  bool has_flash() const { return acquisition->flash.has_value(); }
+  // Of a lead:
   std::string transport_key, light_key;
   optimize::AcquisitionResult lights;
 };
@@ -111,12 +117,13 @@ class Pipeline {
     for (Shoot& shoot : shoots_) {
       develop(shoot);
       raycast(store, shoot);
-      if (project_.method == SolveMethod::kNone) {
-        take_colour(shoot);
-      } else {
-        solve_lights(store, shoot);
-        solve_albedo(store, shoot);
-      }
+      if (project_.method == SolveMethod::kNone) take_colour(shoot);
+    }
+    if (project_.method != SolveMethod::kNone) {
+      for (std::size_t i = 0; i < shoots_.size(); ++i)
+        if (shoots_[i].lead == i) solve_lights(store, i);
+      for (Shoot& shoot : shoots_)
+        if (shoot.has_flash()) solve_albedo(store, shoot);
     }
     write_lights();
     blend(store);
@@ -172,16 +179,18 @@ class Pipeline {
 
   void read_all_cameras() {
     for (const Acquisition& a : project_.acquisitions) {
-      if (a.role == AcquisitionRole::kNoFlash) {
-        for (const PhotographInput& p : a.photographs) record_.left_out("photograph", p.key, "photographs without flash are not used yet");
-        note_both(concat("acquisition \"", a.name, "\": photographs without flash are not used yet and were left out"));
+      Shoot shoot;
+      shoot.acquisition = &a;
+      shoot.lead = a.lights_of.value_or(shoots_.size());
+      if (a.lights_of && a.exposure_s) shoot.ambient_scale = *a.exposure_s / *project_.acquisitions[*a.lights_of].exposure_s;
+      if (a.role == AcquisitionRole::kNoFlash && project_.method == SolveMethod::kNone) {
+        for (const PhotographInput& p : a.photographs) leave_out(p, "taken without flash, and no light is solved");
+        shoots_.push_back(std::move(shoot));
         continue;
       }
       std::vector<std::string> notes;
       const std::vector<stream::Camera> cameras = stream::read_cameras(a.cameras, notes);
       for (const std::string& n : notes) note_both(n);
-      Shoot shoot;
-      shoot.acquisition = &a;
       for (std::size_t i = 0; i < a.photographs.size(); ++i) {
         const PhotographInput& p = a.photographs[i];
         const stream::Camera* camera = stream::find_camera(cameras, p.file.string());
@@ -260,7 +269,7 @@ class Pipeline {
     std::vector<Photo> kept;
     for (Photo& photo : shoot.photos) {
       surfels::GBufferOptions options;
-      if (project_.method != SolveMethod::kNone) options.flash_in_camera = a.flash->offset_in_camera;
+      if (project_.method != SolveMethod::kNone && shoot.has_flash()) options.flash_in_camera = a.flash->offset_in_camera;
       options.mask_raster = folder_.radiance(photo.input->key);
       Hasher h = keyed("raycast");
       h.add(store_key_).add(photo.radiance_key);
@@ -287,28 +296,39 @@ class Pipeline {
     require_photographs();
   }
 
-  optimize::ObserveInput observe_input(const Photo& p) const { return {p.camera, folder_.radiance(p.input->key), folder_.gbuffer(p.input->key), p.noise}; }
-
-  optimize::AcquisitionInput acquisition_input(const Shoot& shoot) const {
-    const Acquisition& a = *shoot.acquisition;
-    optimize::AcquisitionInput input;
-    input.flash_in_camera = a.flash->offset_in_camera;
-    input.intensity_range = a.flash->intensity_range;
-    input.sky = sky_model(a.ambient);
-    input.method = solve_method(project_.method);
-    for (std::size_t k = 0; k < shoot.photos.size(); ++k) {
-      input.photographs.push_back(observe_input(shoot.photos[k]));
-      input.names.push_back(shoot.photos[k].input->key);
-      for (const ReferenceInput& r : a.references)
-        if (r.photograph == shoot.photos[k].index_in_acquisition) input.references.push_back({k, r.polygon, r.albedo, r.sigma});
-    }
+  optimize::ObserveInput observe_input(const Shoot& shoot, const Photo& p) const {
+    optimize::ObserveInput input{p.camera, folder_.radiance(p.input->key), folder_.gbuffer(p.input->key), p.noise, {}, shoot.ambient_scale};
+    if (shoot.has_flash()) input.flash_in_camera = shoot.acquisition->flash->offset_in_camera;
     return input;
   }
 
-  void solve_lights(const stream::Store& store, Shoot& shoot) {
-    if (shoot.photos.empty()) return;
+  /// All photographs that share the lights of a lead, its own first.
+  optimize::AcquisitionInput acquisition_input(std::size_t lead) {
+    const Acquisition& a = *shoots_[lead].acquisition;
+    optimize::AcquisitionInput input;
+    input.intensity_range = a.flash->intensity_range;
+    input.sky = sky_model(a.ambient);
+    input.method = solve_method(project_.method);
+    std::vector<Shoot*> shoots{&shoots_[lead]};
+    for (std::size_t i = 0; i < shoots_.size(); ++i)
+      if (i != lead && shoots_[i].lead == lead) shoots.push_back(&shoots_[i]);
+    for (Shoot* shoot : shoots)
+      for (Photo& photo : shoot->photos) {
+        photo.index_in_lights = input.photographs.size();
+        for (const ReferenceInput& r : shoot->acquisition->references)
+          if (r.photograph == photo.index_in_acquisition) input.references.push_back({photo.index_in_lights, r.polygon, r.albedo, r.sigma});
+        input.photographs.push_back(observe_input(*shoot, photo));
+        input.names.push_back(photo.input->key);
+        record_.count(shoot->has_flash() ? "photographs_with_flash" : "photographs_without_flash", 1);
+      }
+    return input;
+  }
+
+  void solve_lights(const stream::Store& store, std::size_t lead) {
+    Shoot& shoot = shoots_[lead];
     const Acquisition& a = *shoot.acquisition;
-    const optimize::AcquisitionInput input = acquisition_input(shoot);
+    const optimize::AcquisitionInput input = acquisition_input(lead);
+    if (std::none_of(input.photographs.begin(), input.photographs.end(), [](const optimize::ObserveInput& p) { return p.flash_in_camera.has_value(); })) return;
     optimize::AcquisitionOptions options;
     options.seed = project_.seed;
     options.max_proxy_surfels = std::min(options.max_proxy_surfels, std::max<std::uint64_t>(2000, optimize::proxy_surfels_within(budget_.limit_bytes() / 2, options.rays)));
@@ -316,14 +336,14 @@ class Pipeline {
     make_folder(folder);
     Hasher h = keyed("gather");
     h.add(options.seed).add(options.proxy_surfels).add(options.max_proxy_surfels).add(static_cast<std::uint64_t>(options.rays));
-    for (const Photo& p : shoot.photos) h.add(p.gbuffer_key);
+    for (const std::string& key : keys_in_lights(lead)) h.add(key);
     shoot.transport_key = h.hex();
     task("gather/" + a.name, shoot.transport_key, {folder / "proxy.bin", folder / "transport.bin"}, [&] {
       optimize::gather_scene(store, input, options, folder, budget_, report_);
       return Json::object();
     });
     h.add("light").add(static_cast<std::uint64_t>(input.method)).add(static_cast<std::uint64_t>(input.sky)).add(static_cast<std::uint64_t>(options.light_samples));
-    for (const Photo& p : shoot.photos) h.add(p.noise.gain).add(p.noise.read_sigma);
+    for (const optimize::ObserveInput& p : input.photographs) h.add(p.noise.gain).add(p.noise.read_sigma).add(p.ambient_scale);
     if (input.intensity_range) h.add((*input.intensity_range)[0]).add((*input.intensity_range)[1]);
     for (const auto& r : input.references) {
       h.add(static_cast<std::uint64_t>(r.photograph)).add(r.sigma);
@@ -342,6 +362,16 @@ class Pipeline {
       throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph; are cameras and cloud in the same frame?"));
   }
 
+  std::vector<std::string> keys_in_lights(std::size_t lead) const {
+    std::map<std::size_t, std::string> keys;
+    for (const Shoot& shoot : shoots_)
+      if (shoot.lead == lead)
+        for (const Photo& p : shoot.photos) keys[p.index_in_lights] = p.gbuffer_key;
+    std::vector<std::string> ordered;
+    for (const auto& [index, key] : keys) ordered.push_back(key);
+    return ordered;
+  }
+
   static Json light_json(const optimize::AcquisitionResult& r) {
     Json lights = Json::array();
     for (const optimize::LightSolution& s : r.lights) {
@@ -351,10 +381,13 @@ class Pipeline {
         for (Eigen::Index j = 0; j < s.covariance.cols(); ++j) row.push_back(s.covariance(i, j));
         covariance.push_back(row);
       }
-      lights.push_back({{"flash_intensity", s.lights.flash_intensity}, {"sky", s.lights.sky}, {"bounce", s.lights.bounce}, {"covariance", covariance}, {"scatter", s.scatter},
+      lights.push_back({{"flash_intensity", s.lights.flash_intensity}, {"sky", s.lights.sky}, {"sky_colour", s.lights.sky_colour}, {"bounce", s.lights.bounce},
+                        {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"covariance", covariance}, {"scatter", s.scatter},
                         {"groups", s.groups}, {"samples", s.samples}, {"iterations", s.iterations}, {"converged", s.converged}, {"scale_known", s.scale_known}});
     }
-    return {{"lights", lights}, {"light_of_photograph", r.light_of_photograph}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
+    Json evidence = Json::array();
+    for (const optimize::SkyEvidence& e : r.sky_evidence) evidence.push_back({{"model", e.model}, {"parameters", e.parameters}, {"criterion", e.criterion}});
+    return {{"sky_evidence", evidence}, {"lights", lights}, {"light_of_photograph", r.light_of_photograph}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
             {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
   }
 
@@ -364,6 +397,9 @@ class Pipeline {
       optimize::LightSolution s;
       s.lights.flash_intensity = l["flash_intensity"];
       s.lights.sky = l["sky"];
+      s.lights.sky_colour = l["sky_colour"];
+      s.sky_terms = l["sky_terms"];
+      s.sky_colour = l["sky_coloured"];
       s.lights.bounce = l["bounce"];
       const auto n = static_cast<Eigen::Index>(l["covariance"].size());
       s.covariance.resize(n, n);
@@ -377,6 +413,7 @@ class Pipeline {
       s.scale_known = l["scale_known"];
       r.lights.push_back(s);
     }
+    for (const Json& e : j["sky_evidence"]) r.sky_evidence.push_back({e["model"].get<std::string>(), e["parameters"].get<int>(), e["criterion"].get<double>()});
     r.light_of_photograph = j["light_of_photograph"].get<std::vector<std::size_t>>();
     r.proxy_surfels = j["proxy_surfels"];
     r.proxy_seen = j["proxy_seen"];
@@ -391,20 +428,21 @@ class Pipeline {
   void solve_albedo(const stream::Store& store, Shoot& shoot) {
     if (shoot.photos.empty()) return;
     const Acquisition& a = *shoot.acquisition;
-    const std::filesystem::path folder = folder_.acquisition(a.name);
+    const Shoot& lead = shoots_[shoot.lead];
+    const std::filesystem::path folder = folder_.acquisition(lead.acquisition->name);
     std::unique_ptr<optimize::Scene> scene;   // loaded once, and only if some photograph needs it
     optimize::AlbedoOptions options;
     options.direct_only = project_.method == SolveMethod::kDirect;
-    for (std::size_t k = 0; k < shoot.photos.size(); ++k) {
-      Photo& photo = shoot.photos[k];
+    for (Photo& photo : shoot.photos) {
+      const std::size_t k = photo.index_in_lights;
       Hasher h = keyed("albedo");
-      h.add(shoot.light_key).add(photo.gbuffer_key).add(photo.radiance_key);
+      h.add(lead.light_key).add(photo.gbuffer_key).add(photo.radiance_key);
       photo.albedo_key = h.hex();
       const std::filesystem::path pictures = folder_.pictures(photo.input->key), raster = folder_.albedo(photo.input->key);
       const Json info = task("albedo/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr", pictures / "sigma.exr", pictures / "light.exr"}, [&] {
         if (!scene) scene = std::make_unique<optimize::Scene>(optimize::load_scene(store, folder));
         const Vec3d flash = photo.camera.pose.world_from_camera(a.flash->offset_in_camera);
-        const optimize::AlbedoStats s = optimize::solve_albedo(*scene, observe_input(photo), shoot.lights.lights[shoot.lights.light_of_photograph[k]], flash,
+        const optimize::AlbedoStats s = optimize::solve_albedo(*scene, observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
                                                                optimize::gathered_path(folder, k), options, raster, report_);
         optimize::write_albedo_pictures(raster, pictures);
         return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
@@ -420,7 +458,7 @@ class Pipeline {
       photo.albedo_key = h.hex();
       const std::filesystem::path pictures = folder_.pictures(photo.input->key), raster = folder_.albedo(photo.input->key);
       task("colour/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr"}, [&] {
-        optimize::colour_as_albedo(observe_input(photo), raster, report_);
+        optimize::colour_as_albedo(observe_input(shoot, photo), raster, report_);
         optimize::write_albedo_pictures(raster, pictures);
         return Json::object();
       });
@@ -433,7 +471,11 @@ class Pipeline {
       Json a{{"acquisition", shoot.acquisition->name}, {"method", name_of(project_.method)}};
       if (project_.method == SolveMethod::kNone) {
         a["how"] = "photographs taken as the colour itself; no light was solved";
+      } else if (!shoot.has_flash()) {
+        a["lights_of"] = shoots_[shoot.lead].acquisition->name;
+        a["how"] = concat("taken without flash: measures the ambient light of \"", shoots_[shoot.lead].acquisition->name, "\"");
       } else {
+        if (&shoot != &shoots_[shoot.lead]) a["lights_of"] = shoots_[shoot.lead].acquisition->name;
         describe_lights(shoot, a);
       }
       all.push_back(a);
@@ -442,12 +484,14 @@ class Pipeline {
   }
 
   void describe_lights(const Shoot& shoot, Json& a) const {
+    const optimize::AcquisitionResult& lights = shoots_[shoot.lead].lights;
     const auto one = [&](const optimize::LightSolution& s) {
       const double ln_sd = s.covariance.rows() > 0 ? std::sqrt(std::max(0.0, s.covariance(0, 0))) : 0;
-      const auto sky = s.covariance.rows() - 2;
+      const int sky = s.sky_terms;
       const double ambient_sd = sky > 0 ? std::sqrt(std::max(0.0, s.covariance(1, 1))) : 0;
       std::vector<std::string> names{"ln_flash_intensity"};
-      for (Eigen::Index k = 0; k < sky; ++k) names.push_back("sky_" + std::to_string(k));
+      for (int k = 0; k < sky; ++k) names.push_back("sky_" + std::to_string(k));
+      if (s.sky_colour) names.insert(names.end(), {"ln_sky_red", "ln_sky_blue"});
       names.push_back("bounce");
       Json covariance = Json::array();
       for (Eigen::Index i = 0; i < s.covariance.rows(); ++i) {
@@ -457,38 +501,44 @@ class Pipeline {
       }
       return Json{{"flash_intensity", s.lights.flash_intensity}, {"flash_intensity_sd", ln_sd * s.lights.flash_intensity},
                   {"ambient", s.lights.sky[0]}, {"ambient_sd", ambient_sd}, {"sky", s.lights.sky},
-                  {"sky_basis", "1, y, z, x, xy, yz, 3z^2-1, xz, x^2-y^2 of the world direction"}, {"bounce", s.lights.bounce},
+                  {"sky_colour", s.lights.sky_colour}, {"sky_basis", "1, y, z, x, xy, yz, 3z^2-1, xz, x^2-y^2 of the world direction"}, {"bounce", s.lights.bounce},
                   {"covariance_of", names}, {"covariance", covariance},
                   {"allowed", {{"flash_intensity", {s.lights.flash_intensity * std::exp(-2 * ln_sd), s.lights.flash_intensity * std::exp(2 * ln_sd)}},
                                {"ambient", {std::max(0.0, s.lights.sky[0] - 2 * ambient_sd), s.lights.sky[0] + 2 * ambient_sd}}}},
                   {"absolute_scale", s.scale_known ? "calibrated" : "from interreflections and a guess of the brightest albedo: trust ratios, not the scale"},
                   {"scatter_of_ln_albedo", s.scatter}, {"samples", s.samples}, {"converged", s.converged}};
     };
-    a["sky_model"] = shoot.lights.sky_model;
-    a["proxy_surfels"] = shoot.lights.proxy_surfels;
+    a["sky_model"] = lights.sky_model;
+    for (const optimize::SkyEvidence& e : lights.sky_evidence) a["sky_evidence"].push_back({{"model", e.model}, {"parameters", e.parameters}, {"criterion", e.criterion}});
+    a["proxy_surfels"] = lights.proxy_surfels;
     a["how"] = how_found(shoot);
     const Acquisition& input = *shoot.acquisition;
     if (input.flash->intensity_range) a["calibrated_range"] = *input.flash->intensity_range;
     a["references"] = input.references.size();
-    if (shoot.lights.lights.size() == 1) {
-      a.update(one(shoot.lights.lights[0]));
+    if (lights.lights.size() == 1) {
+      a.update(one(lights.lights[0]));
       return;
     }
     Json each = Json::array();
-    for (std::size_t k = 0; k < shoot.photos.size(); ++k) {
+    for (std::size_t k = 0; k < shoot.photos.size() && !lights.lights.empty(); ++k) {
       Json j{{"photograph", shoot.photos[k].input->key}};
-      j.update(one(shoot.lights.lights[shoot.lights.light_of_photograph[k]]));
+      j.update(one(lights.lights[lights.light_of_photograph[shoot.photos[k].index_in_lights]]));
       each.push_back(j);
     }
     a["photographs"] = each;
   }
 
   std::string how_found(const Shoot& shoot) const {
-    const std::size_t n = shoot.photos.size();
+    std::size_t n = 0, without_flash = 0;
+    for (const Shoot& other : shoots_)
+      if (other.lead == shoot.lead) (other.has_flash() ? n : without_flash) += other.photos.size();
+    const std::string dark = without_flash > 0 ? concat(" and ", without_flash, " without flash") : std::string();
     switch (project_.method) {
       case SolveMethod::kJoint:
-        return n > 1 ? concat("jointly over ", n, " photographs: log ratios of surfels seen at least twice") : std::string("one photograph: log ratios of pairs of surfels of like chroma");
-      case SolveMethod::kSingle: return "each photograph by itself: log ratios of pairs of surfels of like chroma";
+        return n + without_flash > 1 ? concat("jointly over ", n, " photographs", dark, ": log ratios of surfels seen at least twice") : std::string("one photograph: log ratios of pairs of surfels of like chroma");
+      case SolveMethod::kSingle:
+        if (without_flash > 0) return concat("each photograph by itself", dark, ": log ratios of surfels seen at least twice");
+        return "each photograph by itself: log ratios of pairs of surfels of like chroma";
       case SolveMethod::kAdam: return "each photograph by itself: one-dimensional search of the flash, then Adam over albedo, flash and ambient; the result depends on its start";
       case SolveMethod::kDirect: return "not solved: the middle of the calibrated range, no ambient, no bounces";
       case SolveMethod::kNone: break;
@@ -507,6 +557,7 @@ class Pipeline {
     h.add(store_key_);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {
+        if (p.albedo_key.empty()) continue;   // without flash
         photographs.push_back({p.input->key, p.camera, folder_.gbuffer(p.input->key), folder_.albedo(p.input->key), folder_.radiance(p.input->key)});
         h.add(p.albedo_key).add(p.input->key);
       }
@@ -528,12 +579,13 @@ class Pipeline {
   void residuals(const stream::Store& store) {
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {
+        if (p.albedo_key.empty()) continue;
         Hasher h = keyed("residual");
         h.add(layer_key_).add(p.albedo_key);
         const std::filesystem::path picture = folder_.pictures(p.input->key) / "residual.exr";
         task("residual/" + p.input->key, h.hex(), {picture}, [&] {
           const stream::Layer layer(store, "albedo");
-          const double rms = optimize::write_residual(store, layer, observe_input(p), folder_.albedo(p.input->key), picture, report_);
+          const double rms = optimize::write_residual(store, layer, observe_input(shoot, p), folder_.albedo(p.input->key), picture, report_);
           return Json{{"relative_rms", rms}};
         });
       }

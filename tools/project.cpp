@@ -382,7 +382,7 @@ void resolve_encoding(const toml::source_region& region, Acquisition& acquisitio
 }
 
 Acquisition read_acquisition(const toml::table& table, std::size_t number, const fs::path& folder, std::vector<std::string>& notes) {
-  const Section section(table, "acquisition", {"name", "role", "photographs", "encoding", "masks", "cameras", "noise", "flash", "ambient", "reference"});
+  const Section section(table, "acquisition", {"name", "role", "photographs", "encoding", "masks", "cameras", "noise", "flash", "ambient", "reference", "exposure_s", "lights_of"});
   Acquisition acquisition;
   acquisition.name = concat("acquisition", number + 1);
   section.text("name", acquisition.name);
@@ -411,10 +411,45 @@ Acquisition read_acquisition(const toml::table& table, std::size_t number, const
     const Section light(as_table(*ambient, "acquisition.ambient"), "acquisition.ambient", {"model"});
     light.choice("model", acquisition.ambient);
   }
+  if (const toml::node* exposure = section.find("exposure_s")) {
+    acquisition.exposure_s = as_number(*exposure, "acquisition.exposure_s");
+    if (!(*acquisition.exposure_s > 0)) fail(*exposure, concat("acquisition.exposure_s: expected a shutter time above 0 in seconds, found ", *acquisition.exposure_s));
+  }
+  if (acquisition.role == AcquisitionRole::kNoFlash && acquisition.flash)
+    fail(table.source(), concat("acquisition \"", acquisition.name, "\": role = \"no_flash\" and a flash exclude each other"));
   if (const toml::node* references = section.find("reference"))
     for (const toml::table* reference : as_tables(*references, "acquisition.reference"))
       acquisition.references.push_back(read_reference(*reference, "acquisition.reference", acquisition));
   return acquisition;
+}
+
+/// lights_of = "NAME": an acquisition with a flash. Photographs without flash belong to the one before them, else to the first, unless they say otherwise.
+void join_lights(const toml::node& node, Project& project) {
+  std::vector<Acquisition>& all = project.acquisitions;
+  const auto leads = [&](std::size_t i, const std::vector<const toml::table*>& tables) { return all[i].role == AcquisitionRole::kFlash && !tables[i]->contains("lights_of"); };
+  const std::vector<const toml::table*> tables = as_tables(node, "acquisition");
+  std::vector<std::string> names;
+  for (const Acquisition& a : all) names.push_back(a.name);
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    if (const toml::node* named = tables[i]->get("lights_of")) {
+      const std::string text = as_text(*named, "acquisition.lights_of");
+      const auto at = static_cast<std::size_t>(std::find(names.begin(), names.end(), text) - names.begin());
+      if (at == names.size()) {
+        const auto best = nearest(text, names);
+        fail(*named, concat("acquisition.lights_of: \"", text, "\" is none of the acquisitions", best ? "; did you mean \"" + *best + "\"?" : ""));
+      }
+      if (!leads(at, tables)) fail(*named, concat("acquisition.lights_of: \"", text, "\" must be an acquisition with a flash that shares nobody else's lights"));
+      all[i].lights_of = at;
+    } else if (all[i].role == AcquisitionRole::kNoFlash) {
+      for (std::size_t j = 0; j < all.size(); ++j)
+        if (leads(j, tables) && (!all[i].lights_of || j < i)) all[i].lights_of = j;
+      if (!all[i].lights_of) fail(tables[i]->source(), concat("acquisition \"", all[i].name, "\": without flash it measures the ambient light of another acquisition, and there is none with a flash"));
+    }
+    if (!all[i].lights_of) continue;
+    const Acquisition& lead = all[*all[i].lights_of];
+    if (all[i].exposure_s.has_value() != lead.exposure_s.has_value())
+      fail(tables[i]->source(), concat("acquisitions \"", all[i].name, "\" and \"", lead.name, "\" share their lights: give exposure_s for both, or for neither where the shutter times are the same"));
+  }
 }
 
 void read_acquisitions(const toml::node& node, const fs::path& folder, Project& project) {
@@ -426,6 +461,7 @@ void read_acquisitions(const toml::node& node, const fs::path& folder, Project& 
     if (!names.insert(name).second) fail(table->source(), concat("acquisition.name: two acquisitions are called \"", name, "\""));
   }
   if (project.acquisitions.empty()) fail(node, "acquisition: none given");
+  join_lights(node, project);
 }
 
 /// Folder names of photographs: the stem where that is unique over the project.
@@ -651,6 +687,7 @@ Json json_of(const Acquisition& acquisition) {
     if (acquisition.flash->intensity_range) out["flash"]["intensity_range"] = *acquisition.flash->intensity_range;
   }
   out["ambient"] = {{"model", name_of(acquisition.ambient)}};
+  if (acquisition.exposure_s) out["exposure_s"] = *acquisition.exposure_s;
   out["reference"] = Json::array();
   for (const ReferenceInput& reference : acquisition.references) {
     Json corners = Json::array();
@@ -668,7 +705,10 @@ std::string to_json(const Project& project) {
   out["cloud"] = {{"files", Json::array()}, {"normals", name_of(project.cloud.normals)}, {"outliers", name_of(project.cloud.outliers)}, {"align", name_of(project.cloud.align)}};
   for (const fs::path& file : project.cloud.files) out["cloud"]["files"].push_back(file.string());
   out["acquisition"] = Json::array();
-  for (const Acquisition& acquisition : project.acquisitions) out["acquisition"].push_back(json_of(acquisition));
+  for (const Acquisition& acquisition : project.acquisitions) {
+    out["acquisition"].push_back(json_of(acquisition));
+    if (acquisition.lights_of) out["acquisition"].back()["lights_of"] = project.acquisitions[*acquisition.lights_of].name;
+  }
   out["solve"] = {{"method", name_of(project.method)}};
   out["run"] = {{"memory", project.memory_bytes}, {"threads", project.threads}, {"seed", project.seed}};
   out["export"] = Json::array();

@@ -73,6 +73,8 @@ struct Acquisition {
   std::optional<FlashInput> flash;           ///< absent: no flash
   std::vector<ReferenceInput> references;
   AmbientModel ambient = AmbientModel::kAuto;
+  std::optional<double> exposure_s;          ///< shutter time, > 0: the ambient light counts in proportion to it, the flash does not
+  std::optional<std::size_t> lights_of;      ///< number of the acquisition whose lights (flash, ambient) these are too; always there for kNoFlash
 };
 
 struct ExportInput {

@@ -111,11 +111,19 @@ std::string images_text(const std::vector<SynthView>& views, const SynthSpec& sp
 std::string project_text(const SynthSpec& spec, const SynthProjectOptions& options, const SynthProjectResult& result, bool closed) {
   const Vec3d flash = spec.scale * kFlashInCamera;
   std::ostringstream text;
+  const std::string masks = closed ? "" : "masks = \"masks/{stem}.png\"\n";
+  std::ostringstream noise;
+  noise << "noise = { gain = " << options.gain << ", read_sigma = " << options.read_sigma << " }\n";
   text << std::setprecision(10) << "# Made by chiaro synth; the true lights are in truth/lights.json.\n[project]\nname = \"" << scene_name(spec.kind) << "\"\nunit = \"m\"\n\n[cloud]\nfiles = [\""
        << options.cloud << "\"]\nnormals = \"auto\"\n\n[[acquisition]]\nname = \"synth\"\nphotographs = [\"photos/photo_*.exr\"]\nencoding = \"linear\"\n"
-       << (closed ? "" : "masks = \"masks/{stem}.png\"\n") << "cameras = \"sparse\"\nnoise = { gain = " << options.gain << ", read_sigma = " << options.read_sigma
-       << " }\n\n[acquisition.flash]\noffset_in_camera = [" << flash.x() << ", " << flash.y() << ", " << flash.z() << "]\nintensity_range = [" << kRangeLow * result.flash_intensity << ", "
-       << kRangeHigh * result.flash_intensity << "]\n\n[acquisition.ambient]\nmodel = \"" << (closed ? "none" : "auto") << "\"\n\n[[export]]\nfile = \"albedo.ply\"\n";
+       << masks << "cameras = \"sparse\"\n" << noise.str();
+  if (options.without_flash) text << "exposure_s = " << kFlashExposureS << '\n';
+  text << "\n[acquisition.flash]\noffset_in_camera = [" << flash.x() << ", " << flash.y() << ", " << flash.z() << "]\nintensity_range = [" << kRangeLow * result.flash_intensity << ", "
+       << kRangeHigh * result.flash_intensity << "]\n\n[acquisition.ambient]\nmodel = \"" << (closed ? "none" : "auto") << "\"\n";
+  if (options.without_flash)
+    text << "\n[[acquisition]]\nname = \"dark\"\nrole = \"no_flash\"\nphotographs = [\"dark/photo_*.exr\"]\nencoding = \"linear\"\n" << masks << "cameras = \"sparse\"\n" << noise.str()
+         << "exposure_s = " << kDarkExposureS << '\n';
+  text << "\n[[export]]\nfile = \"albedo.ply\"\n";
   return text.str();
 }
 
@@ -157,16 +165,17 @@ class PartFolder {
 
 void check_space(const fs::path& folder, const SynthProjectOptions& options) {
   // Half floats of a noisy picture hardly shrink.
-  const std::uint64_t wanted = static_cast<std::uint64_t>(options.photographs) * static_cast<std::uint64_t>(options.width_px) * static_cast<std::uint64_t>(options.height_px) * 6;
+  const std::uint64_t wanted = (options.without_flash ? 2 : 1) * static_cast<std::uint64_t>(options.photographs) * static_cast<std::uint64_t>(options.width_px) * static_cast<std::uint64_t>(options.height_px) * 6;
   const std::uint64_t left = free_disk_bytes(folder);
   if (wanted > left) throw Error(concat(folder.string(), ": ", format_bytes(wanted), " are needed for photographs, the disk has ", format_bytes(left), " left"));
 }
 
 void write_photograph(const SynthBody& body, const SynthLights& lights, const SynthView& view, const SynthPixels& pixels, const fs::path& folder, const std::string& name, Reporter& report) {
+  const char* pictures = lights.flash_intensity > 0 ? "photos" : "dark";
   const int width = view.lens.width_px, height = view.lens.height_px;
   std::vector<float> rgb;
   std::vector<std::uint8_t> mask(static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
-  stream::ExrWriter picture(folder / "photos" / (name + ".exr"), width, height, {"R", "G", "B"}, true);
+  stream::ExrWriter picture(folder / pictures / (name + ".exr"), width, height, {"R", "G", "B"}, true);
   for (int y = 0; y < height; y += kBandRows) {
     report.check();
     const int rows = std::min(kBandRows, height - y);
@@ -176,7 +185,7 @@ void write_photograph(const SynthBody& body, const SynthLights& lights, const Sy
     picture.write_rows(rows, rgb);
   }
   picture.commit();
-  if (!body.is_closed()) stream::write_png_srgb8(folder / "masks" / (name + ".png"), width, height, mask, 1);
+  if (!body.is_closed() && lights.flash_intensity > 0) stream::write_png_srgb8(folder / "masks" / (name + ".png"), width, height, mask, 1);
 }
 
 void range(const char* name, double value, double min, double max) {
@@ -229,11 +238,13 @@ SynthProjectResult write_synth_project(const SynthScene& scene, const fs::path& 
   options.validate();
   const SynthSpec& spec = scene.spec();
   const SynthLights lights = synth_lights(spec.kind, options);
+  if (options.without_flash && !(lights.ambient_radiance > 0)) throw UsageError("--no-flash: the scene has no ambient light to photograph");
   const std::vector<SynthView> views = synth_views(spec.kind, options);
   const fs::path absolute = fs::absolute(given).lexically_normal(), folder = absolute.has_filename() ? absolute : absolute.parent_path();
   PartFolder part(folder);
   const std::unique_ptr<SynthBody> body = make_body(spec.kind);
   if (!body->is_closed()) make_folder(part.path() / "masks");
+  if (options.without_flash) make_folder(part.path() / "dark");
 
   SynthProjectResult result;
   check_space(folder, options);
@@ -247,6 +258,11 @@ SynthProjectResult write_synth_project(const SynthScene& scene, const fs::path& 
   for (int k = 0; k < options.photographs; ++k) {
     SynthPixels pixels{options.samples, options.gain, options.read_sigma, spec.seed + (static_cast<std::uint64_t>(k) + 1) * 0x9e3779b97f4a7c15ull};
     write_photograph(*body, lights, views[static_cast<std::size_t>(k)], pixels, part.path(), photo_name(k, options.photographs), report);
+    if (options.without_flash) {
+      pixels.seed ^= 0x5851f42d4c957f2dull;
+      write_photograph(*body, {0, lights.ambient_radiance * kDarkExposureS / kFlashExposureS, lights.bounces}, views[static_cast<std::size_t>(k)], pixels, part.path(),
+                       photo_name(k, options.photographs), report);
+    }
     report.progress(static_cast<std::uint64_t>(k) + 1);
   }
   report.end();

@@ -20,9 +20,12 @@ struct SynthProjectOptions {
   double gain = 1e-4, read_sigma = 4e-4;   ///< noise of the photographs, declared in the project file
   std::string cloud = "cloud.ply";  ///< file name, .ply, .las or .pcd
   bool with_albedo = false;         ///< in the cloud
+  bool without_flash = false;       ///< each view once more without flash, at a longer shutter time, as an acquisition of its own
   /// throws UsageError naming the option and its range.
   void validate() const;
 };
+
+inline constexpr double kFlashExposureS = 0.01, kDarkExposureS = 0.04;   ///< shutter times; ambient light counts in proportion
 
 struct SynthProjectResult {
   SynthResult cloud;
@@ -34,7 +37,7 @@ struct SynthProjectResult {
 SynthLights synth_lights(SynthKind kind, const SynthProjectOptions& options);
 std::vector<SynthView> synth_views(SynthKind kind, const SynthProjectOptions& options);
 
-/// Writes `folder`: the cloud, photos/photo_K.exr (half, linear), masks/photo_K.png (not for the room, which fills every picture), sparse/ (COLMAP text),
+/// Writes `folder`: the cloud, photos/photo_K.exr (half, linear), masks/photo_K.png (not for the room, which fills every picture), dark/photo_K.exr where asked for, sparse/ (COLMAP text),
 /// truth/lights.json, and project.toml, which `chiaro run` takes as it is. The same bytes for any number of threads. Memory: a block of points, then rows of one
 /// photograph and its mask. Nothing appears at `folder` before all is written.
 /// throws Error (`folder` exists and is not empty; no space: cloud and photographs are each checked before they are written), UsageError, Cancelled.

@@ -41,6 +41,21 @@ TEST_F(Synth, AStatueComesOutWithinItsMemory) {
   EXPECT_LE(made.peak_bytes, 128u << 20);
 }
 
+// One flash photograph cannot tell flash from ambient light; the same view without flash, at four times the shutter time, can.
+TEST_F(Synth, APhotographWithoutFlashSettlesTheAmbientLightOfASingleOne) {
+  const ProcessResult made = make({"statue:noise=0.0003", "--points", "60000", "--photographs", "2", "--size", "240x180", "--no-flash"});
+  ASSERT_EQ(made.code, 0) << made.err;
+  const ProcessResult ran = run("out", {"--set", "solve.method=single"});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  for (const auto& one : json("out/lights.json").at("acquisitions").at(0).at("photographs")) {
+    EXPECT_NEAR(one["ambient"].get<double>() / one["flash_intensity"].get<double>(), 0.15 / 30, 0.02 * 0.15 / 30) << one["photograph"];
+    EXPECT_EQ(one["sky_colour"][0].get<double>(), 1) << "grey is enough";
+  }
+  EXPECT_EQ(json("out/lights.json").at("acquisitions").at(1).at("lights_of"), "synth");
+  EXPECT_FALSE(std::filesystem::exists(at("out/photographs/dark.photo_00/albedo.exr"))) << "what has no flash gives no albedo";
+  EXPECT_LT(albedo_error(read_ply(at("out/albedo.ply")), truth()).absolute, 0.02);
+}
+
 // In a closed room each photograph sees a tenth of the walls, and half of the light comes from what it does not see: lights and unseen radiosity, found in turn, have
 // to settle instead of chasing each other.
 TEST_F(Synth, TheLightOfAClosedRoomSettles) {

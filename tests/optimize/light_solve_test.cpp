@@ -182,6 +182,68 @@ TEST(LightSolve, TheSkyIsNeverDarkerThanBlack) {
   EXPECT_LT(s.lights.sky[0], 0.01);
 }
 
+/// Each surfel of make_samples() once more, without flash, under a sky of this colour.
+void add_photographs_without_flash(std::vector<LightSample>& samples, const Truth& truth, const std::array<double, 3>& colour) {
+  std::vector<LightSample> all;
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    LightSample s = samples[i];
+    for (std::size_t c = 0; c < 3; ++c) {
+      const double bounced = truth.bounce * static_cast<double>(s.gathered[c]), flash = truth.flash * static_cast<double>(s.flash), sky = truth.ambient * static_cast<double>(s.sky[0]);
+      const double albedo = static_cast<double>(s.radiosity[c]) / (flash + sky + bounced);
+      s.radiosity[c] = static_cast<float>(albedo * (flash + colour[c] * sky + bounced));
+    }
+    all.push_back(s);
+    if (i % 3 != 2) continue;   // one for the three with flash
+    LightSample dark = s;
+    dark.flash = 0;
+    for (std::size_t c = 0; c < 3; ++c) {
+      const double flash = truth.flash * static_cast<double>(s.flash), sky = colour[c] * truth.ambient * static_cast<double>(s.sky[0]);
+      const double albedo = static_cast<double>(s.radiosity[c]) / (flash + sky + truth.bounce * static_cast<double>(s.gathered[c]));
+      dark.gathered[c] = 0.1f * s.gathered[c];
+      dark.radiosity[c] = static_cast<float>(albedo * (sky + truth.bounce * static_cast<double>(dark.gathered[c])));
+    }
+    all.push_back(dark);
+  }
+  samples = all;
+}
+
+// Surfels that all see the sky and the flash alike say nothing about their ratio; one look without flash does, and about the sky's colour.
+TEST(LightSolve, APhotographWithoutFlashMeasuresTheAmbientLightAndItsColour) {
+  Truth truth;
+  std::vector<LightSample> samples = make_samples(truth, 300);
+  const std::array<double, 3> colour{1.3, 1, 0.6};
+  add_photographs_without_flash(samples, truth, colour);
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(12.0);
+  options.flash_ln_sd = 0.05;
+  options.sky_colour = true;
+  const LightSolution s = solve_lights(samples, {}, options, start(12, 0.05));
+  EXPECT_NEAR(s.lights.sky[0] / s.lights.flash_intensity, 0.2 / 12, 2e-5);
+  EXPECT_NEAR(s.lights.sky_colour[0], 1.3, 0.005);
+  EXPECT_EQ(s.lights.sky_colour[1], 1);
+  EXPECT_NEAR(s.lights.sky_colour[2], 0.6, 0.005);
+  EXPECT_EQ(s.covariance.rows(), 5);   // flash, sky, red, blue, bounce
+  options.sky_colour = false;
+  EXPECT_GT(solve_lights(samples, {}, options, start(12, 0.05)).scatter, 10 * s.scatter);   // a grey sky cannot explain them
+}
+
+// Richer models never fit worse; whether they fit better by more than ln(residuals) for each parameter is what decides between them.
+TEST(LightSolve, TheMisfitTellsAColouredSkyFromAGreyOne) {
+  for (const double red : {1.0, 1.2}) {
+    Truth truth;
+    truth.noise = 0.02;
+    std::vector<LightSample> samples = make_samples(truth, 800);
+    add_photographs_without_flash(samples, truth, {red, 1, 1});
+    LightSolveOptions grey, coloured;
+    coloured.sky_colour = true;
+    const Lights base = solve_lights(samples, {}, grey, start(12, 0.2)).lights, rich = solve_lights(samples, {}, coloured, start(12, 0.2)).lights;
+    const double gain = 2 * (light_misfit(samples, grey, base, base) - light_misfit(samples, grey, rich, base)), price = 2 * std::log(independent_residuals(samples, grey));
+    EXPECT_NEAR(independent_residuals(samples, grey), 2000, 1e-9);
+    if (red > 1) EXPECT_GT(gain, 5 * price);
+    else EXPECT_LT(gain, price);
+  }
+}
+
 TEST(LightSolve, SaysWhenThereIsNothingToSolveFrom) {
   EXPECT_THROW(solve_lights({}, {}, {}, start(1, 0)), Error);
 }

@@ -59,7 +59,7 @@ TEST(Gather, AFurnaceHasNoSkyAndIsFilledWithItsOwnLight) {
   EXPECT_LT(sky / static_cast<double>(s.proxy.size()), 1e-3);
   for (const float v : g) EXPECT_NEAR(v, 1, 0.05);
   // B = rho (E + F B) has B = rho E / (1 - rho) inside a closed surface.
-  const std::vector<float> albedo(3 * s.proxy.size(), 0.6f), direct(s.proxy.size(), 2.0f);
+  const std::vector<float> albedo(3 * s.proxy.size(), 0.6f), direct(3 * s.proxy.size(), 2.0f);
   const std::vector<float> b = forward_radiosity(s.transport, albedo, direct, 1, 40);
   double mean = 0;
   for (const float v : b) mean += static_cast<double>(v);

@@ -34,6 +34,7 @@ photographs = "photos/photo_*.exr"
 encoding    = "linear"
 masks       = "masks/{stem}.png"
 cameras     = "sparse"
+exposure_s  = 8e-3
 noise       = { gain = 1e-4, read_sigma = 4e-4 }
 
 [acquisition.flash]
@@ -54,6 +55,7 @@ name        = "night"
 role        = "no_flash"
 photographs = ["photos/photo_1.exr"]
 cameras     = "sparse"
+exposure_s  = 0.5
 
 [solve]
 method = "single"
@@ -143,6 +145,10 @@ TEST_F(ProjectTest, ReadsEveryKey) {
   EXPECT_EQ(night.encoding, Encoding::kLinear) << "by the extension";
   EXPECT_FALSE(night.flash || night.noise);
   EXPECT_EQ(night.photographs[0].key, "night.photo_1");
+  EXPECT_EQ(day.exposure_s, 8e-3);
+  EXPECT_EQ(night.exposure_s, 0.5);
+  EXPECT_EQ(night.lights_of, 0u) << "the acquisition before it";
+  EXPECT_FALSE(day.lights_of);
   EXPECT_EQ(p.method, SolveMethod::kSingle);
   EXPECT_EQ(p.memory_bytes, 512u << 20);
   EXPECT_EQ(p.threads, 2);
@@ -167,13 +173,13 @@ TEST_F(ProjectTest, HasDefaultsForAllButTheInputs) {
 
 TEST_F(ProjectTest, NamesPositionAndNearestKey) {
   EXPECT_EQ(complaint(changed("intensity_range ", "intensity_rang ")),
-            "project.toml:21:1: unknown key \"intensity_rang\" in [acquisition.flash]; did you mean \"intensity_range\"?");
-  EXPECT_EQ(complaint(changed("[solve]", "[slove]")), "project.toml:38:2: unknown key \"slove\"; did you mean \"solve\"?");
-  EXPECT_EQ(complaint(changed("\"single\"", "\"singel\"")), "project.toml:39:10: solve.method: unknown value \"singel\"; did you mean \"single\"?");
+            "project.toml:22:1: unknown key \"intensity_rang\" in [acquisition.flash]; did you mean \"intensity_range\"?");
+  EXPECT_EQ(complaint(changed("[solve]", "[slove]")), "project.toml:40:2: unknown key \"slove\"; did you mean \"solve\"?");
+  EXPECT_EQ(complaint(changed("\"single\"", "\"singel\"")), "project.toml:41:10: solve.method: unknown value \"singel\"; did you mean \"single\"?");
   EXPECT_EQ(complaint(changed("photographs = ", "photograps = ")),
             "project.toml:13:1: unknown key \"photograps\" in [acquisition]; did you mean \"photographs\"?");
   EXPECT_EQ(complaint(changed("\"photo_9\"", "\"photo_8\"")),
-            "project.toml:24:14: acquisition.reference.photograph: \"photo_8\" is none of the photographs of \"day1\"; did you mean \"photo_1\"?");
+            "project.toml:25:14: acquisition.reference.photograph: \"photo_8\" is none of the photographs of \"day1\"; did you mean \"photo_1\"?");
   EXPECT_THAT(complaint("[cloud\n"), HasSubstr("project.toml:"));
   EXPECT_THAT(complaint(changed("[cloud]", "[cloud]\nfiles = 1\n")), HasSubstr("project.toml:8:"));
 }
@@ -193,7 +199,7 @@ TEST_F(ProjectTest, RefusesWrongKindsAndValues) {
   expect("masks/{stem}", "maks/{stem}", "no photograph has a mask");
   expect("gain = 1e-4", "gain = -1e-4", "must not be negative");
   expect("gain = 1e-4, read_sigma = 4e-4", "gain = 0, read_sigma = 0", "must be positive");
-  expect("[25.0, 34]", "[34, 25.0]", "21:23: acquisition.flash.intensity_range: minimum 34 is greater than maximum 25");
+  expect("[25.0, 34]", "[34, 25.0]", "22:23: acquisition.flash.intensity_range: minimum 34 is greater than maximum 25");
   expect("[25.0, 34]", "[0, 25.0]", "expected positive");
   expect("[25.0, 34]", "[nan, 25.0]", "expected a finite number");
   expect("[25.0, 34]", "[25.0]", "expected 2 numbers, found 1");
@@ -217,6 +223,17 @@ TEST_F(ProjectTest, RefusesWrongKindsAndValues) {
   expect("[run]", "run = 3\n[ran]", "unknown key \"ran\"");
   EXPECT_THAT(complaint(""), HasSubstr("cloud is missing"));
   EXPECT_THAT(complaint("[cloud]\nfiles='cloud.ply'"), HasSubstr("acquisition is missing"));
+}
+
+TEST_F(ProjectTest, RefusesLightsThatCannotBeShared) {
+  const auto expect = [&](const char* from, const char* to, const char* message) { EXPECT_THAT(complaint(changed(from, to)), HasSubstr(message)) << to; };
+  expect("exposure_s  = 0.5", "exposure_s = 0", "acquisition.exposure_s: expected a shutter time above 0");
+  expect("exposure_s  = 0.5\n", "", "give exposure_s for both, or for neither");
+  expect("exposure_s  = 0.5", "exposure_s = 0.5\nlights_of = \"day2\"", "acquisition.lights_of: \"day2\" is none of the acquisitions; did you mean \"day1\"?");
+  expect("exposure_s  = 0.5", "exposure_s = 0.5\nlights_of = \"night\"", "must be an acquisition with a flash that shares nobody else's lights");
+  expect("exposure_s  = 0.5", "exposure_s = 0.5\nflash = { offset_in_camera = [0, 0, 0] }", "role = \"no_flash\" and a flash exclude each other");
+  EXPECT_THAT(complaint("[cloud]\nfiles = \"cloud.ply\"\n[[acquisition]]\nrole = \"no_flash\"\nphotographs = \"photos/*.exr\"\ncameras = \"sparse\"\n"),
+              HasSubstr("there is none with a flash"));
 }
 
 TEST_F(ProjectTest, RefusesPhotographsThatShareAName) {
