@@ -60,6 +60,9 @@ LightSample sample_of(const Transport& transport, const Observation& o, const st
   }
   s.flash = o.flash[i];
   for (std::size_t k = 0; k < kSkyTerms; ++k) s.sky[k] = transport.sky[i * kSkyTerms + k];
+  if (!transport.hidden.empty())
+    for (std::size_t k = 0; k < kSkyTerms; ++k) s.hidden[k] = transport.hidden[i * kSkyTerms + k];
+  if (!o.floor_flash.empty()) s.floor_flash = o.floor_flash[i];
   s.variance = o.variance[i];
   s.spread = o.spread[i];
   s.tan_flash = o.tan_flash[i];
@@ -186,6 +189,10 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
   reading.stencil = stencil_at(scene.proxy, *scene.nearest, middle, n);
   s.sky = interpolate<kSkyTerms>(reading.stencil, scene.transport.sky);
   for (float& t : s.sky) t *= static_cast<float>(photo.ambient_scale);
+  if (scene.floor) {
+    s.hidden = interpolate<kSkyTerms>(reading.stencil, scene.transport.hidden);
+    for (float& t : s.hidden) t *= static_cast<float>(photo.ambient_scale);
+  }
   if (const auto at = flash_in_world(input, target.photograph)) {
     const Vec3f to_flash = (*at - scene.proxy.origin_in_world).cast<float>() - middle;
     const float cosine = std::max(0.05f, n.dot(to_flash.normalized()));
@@ -250,12 +257,12 @@ void guess_flash(const Scene& scene, const AcquisitionInput& input, const std::f
 /// How the ambient light is described.
 struct SkyShape {
   int terms = 1;           ///< 0, 1, 4 or 9
-  bool coloured = false;
+  bool coloured = false, floor = false;
   std::string name() const {
     const char* shape = terms == 0 ? "none" : terms == 1 ? "uniform" : terms == 4 ? "sh1" : "sh2";
-    return std::string(shape) + (coloured ? " coloured" : "");
+    return std::string(shape) + (coloured ? " coloured" : "") + (floor ? " + floor" : "");
   }
-  int parameters() const { return terms + (coloured ? 2 : 0); }
+  int parameters() const { return terms + (coloured ? 2 : 0) + (floor ? 1 : 0); }
 };
 
 SkyShape sky_shape(SkyModel model) {
@@ -327,8 +334,8 @@ std::vector<std::uint32_t> nearest_seen_surfels(const Proxy& proxy, const std::v
   return result;
 }
 
-/// How far the lights moved: ln flash, sky relative to the flash, its colour, bounce, all of the order of one.
-using LightStep = Eigen::Matrix<double, kSkyTerms + 4, 1>;
+/// How far the lights moved: ln flash, sky relative to the flash, its colour, bounce, the floor's albedo, all of the order of one.
+using LightStep = Eigen::Matrix<double, kSkyTerms + 5, 1>;
 
 LightStep light_step(const Lights& from, const Lights& to) {
   LightStep v;
@@ -338,11 +345,12 @@ LightStep light_step(const Lights& from, const Lights& to) {
   v[kSkyTerms + 1] = to.sky_colour[0] - from.sky_colour[0];
   v[kSkyTerms + 2] = to.sky_colour[2] - from.sky_colour[2];
   v[kSkyTerms + 3] = to.bounce - from.bounce;
+  v[kSkyTerms + 4] = to.floor_albedo - from.floor_albedo;
   return v;
 }
 
 double light_change(const Lights& a, const Lights& b) {
-  return std::fabs(std::log(b.flash_intensity / a.flash_intensity)) + std::fabs(b.bounce - a.bounce) + std::fabs(b.sky_colour[0] - a.sky_colour[0]) + std::fabs(b.sky_colour[2] - a.sky_colour[2]) +
+  return std::fabs(std::log(b.flash_intensity / a.flash_intensity)) + std::fabs(b.bounce - a.bounce) + std::fabs(b.floor_albedo - a.floor_albedo) + std::fabs(b.sky_colour[0] - a.sky_colour[0]) + std::fabs(b.sky_colour[2] - a.sky_colour[2]) +
          std::fabs(b.sky[0] - a.sky[0]) / std::max(1e-9, b.sky[0] + 0.01 * b.flash_intensity);
 }
 
@@ -397,8 +405,9 @@ class LightProblem {
 
   /// Alternates between what unseen surfels radiate and the lights until nothing moves. Plain alternation overshoots where unseen surfaces give most of the light (in a
   /// closed room it ends in a cycle), so the step is relaxed.
-  LightSolution solve(SkyShape sky, bool choose_sky, const Lights& start, int& outer, double& change, Reporter& report) {
+  LightSolution solve(SkyShape sky, const Lights& start, int& outer, double& change, Reporter& report) {
     sky_ = sky;
+    bool choose_sky = !richer_skies(sky).empty();
     LightSolution solution;
     solution.lights = start;
     std::vector<float> albedo(3 * scene_.proxy.size(), 0.3f);
@@ -436,11 +445,25 @@ class LightProblem {
   bool without_bounces() const { return without_bounces_; }
 
  private:
+  static constexpr int kTrialIterations = 15;   ///< from a settled start: enough to compare models
   static constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
+
+  std::vector<SkyShape> richer_skies(const SkyShape& plain) const {
+    std::vector<SkyShape> shapes{plain};
+    if (input_.sky == SkyModel::kAuto) shapes.insert(shapes.end(), {{1, true}, {4, false}, {4, true}, {9, false}, {9, true}});
+    std::vector<SkyShape> candidates(shapes.begin() + 1, shapes.end());
+    if (scene_.floor && input_.try_floor)
+      for (SkyShape s : shapes) {
+        s.floor = true;
+        candidates.push_back(s);
+      }
+    return candidates;
+  }
 
   LightSolveOptions current_options(const Lights& start) const {
     LightSolveOptions o = solve_options(input_, start, !references_.empty(), sky_.terms, use_pairs_, bounce_sd_);
     o.sky_colour = sky_.coloured;
+    o.floor = sky_.floor;
     if (without_bounces_) o.bounce_mean = o.bounce_sd = 0;
     return o;
   }
@@ -456,9 +479,11 @@ class LightProblem {
     SkyShape best = plain;
     double least = 0;
     sky_evidence_ = {{plain.name(), plain.parameters(), 0}};
-    for (const SkyShape& candidate : {SkyShape{1, true}, SkyShape{4, false}, SkyShape{4, true}, SkyShape{9, false}, SkyShape{9, true}}) {
+    for (const SkyShape& candidate : richer_skies(plain)) {
       sky_ = candidate;
-      const LightSolution tried = solve_lights(samples_, current_references(), current_options(start), base);
+      LightSolveOptions candidate_options = current_options(start);
+      candidate_options.max_iterations = kTrialIterations;
+      const LightSolution tried = solve_lights(samples_, current_references(), candidate_options, base);
       const double criterion = 2 * light_misfit(samples_, plain_options, tried.lights, base) + price * candidate.parameters() - reference;
       sky_evidence_.push_back({candidate.name(), candidate.parameters(), criterion});
       if (!(criterion < least)) continue;
@@ -491,10 +516,15 @@ class LightProblem {
     LightSample s = sample_of(scene_.transport, o, g, i);
     s.group = group;
     for (float& t : s.sky) t *= static_cast<float>(ambient_scale(k));
+    for (float& t : s.hidden) t *= static_cast<float>(ambient_scale(k));
     samples_.push_back(s);
   }
 
-  Observation read(std::size_t k) const { return read_observation(observation_path(folder_, k), scene_.proxy.size()); }
+  Observation read(std::size_t k) const {
+    Observation o = read_observation(observation_path(folder_, k), scene_.proxy.size());
+    if (scene_.floor && input_.photographs[k].flash_in_camera) o.floor_flash = read_floats(floor_flash_path(folder_, k), scene_.proxy.size());
+    return o;
+  }
 
   /// One pass over the photographs: completes their radiosity under the lights (`share` of it new), refreshes the samples, and returns the new mean albedo.
   std::vector<float> sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share) {
@@ -521,7 +551,10 @@ class LightProblem {
           if (o.seen[i]) add_sample(k, o, g, i, i);
       }
       for (ReferenceReading& r : references_)
-        if (r.photograph == k) r.reference.sample.gathered = interpolate<3>(r.stencil, g);
+        if (r.photograph == k) {
+          r.reference.sample.gathered = interpolate<3>(r.stencil, g);
+          if (!o.floor_flash.empty()) r.reference.sample.floor_flash = interpolate<1>(r.stencil, o.floor_flash)[0];
+        }
       write_observation(o, observation_path(folder_, k));
       write_floats(g, gathered_path(folder_, k));
     }
@@ -579,7 +612,7 @@ LightSolution solve_with_adam(const Scene& scene, const Smoother& smoother, cons
   solution.sky_terms = 1;
   solution.covariance = Eigen::MatrixXd::Zero(3, 3);
   solution.covariance(0, 0) = sd * sd;
-  const std::vector<float> direct = direct_irradiance(scene.transport, o.flash, solution.lights);
+  const std::vector<float> direct = direct_irradiance(scene.transport, o.flash, {}, solution.lights);
   const std::vector<float> b = forward_radiosity(scene.transport, result.state.albedo, direct, 1, options.scatterings);
   std::vector<float> g;
   gather_radiosity(scene.transport, b, g);
@@ -591,14 +624,42 @@ LightSolution solve_with_adam(const Scene& scene, const Smoother& smoother, cons
 
 }  // namespace
 
+std::filesystem::path floor_flash_path(const std::filesystem::path& folder, std::size_t k) { return folder / concat("floor_", k, ".bin"); }
 std::filesystem::path gathered_path(const std::filesystem::path& folder, std::size_t k) { return folder / concat("gathered_", k, ".bin"); }
 std::filesystem::path proxy_albedo_path(const std::filesystem::path& folder) { return folder / "albedo.bin"; }
 
 std::uint64_t proxy_surfels_within(std::uint64_t bytes, int rays) {
-  // hits, sky, smoother, kd-tree, geometry, blocks and tree, one observation, gathered light, means, samples
-  const std::uint64_t per_surfel = static_cast<std::uint64_t>(rays) * 4 + 36 + 128 + 24 + 33 + 20 + 58 + 24 + 40 + 40;
+  // hits, sky, floor, smoother, kd-tree, geometry, blocks and tree, one observation, gathered light, means, samples
+  const std::uint64_t per_surfel = static_cast<std::uint64_t>(rays) * 4 + 36 + 36 + 4 + 128 + 24 + 33 + 20 + 58 + 24 + 40 + 40;
   return bytes / per_surfel;
 }
+
+namespace {
+
+/// What the cloud can see of a floor below this share does not matter.
+constexpr float kLeastFloorShare = 0.005f;
+
+void write_floor_of(const Proxy& proxy, const Transport& transport, const Smoother& smoother, const AcquisitionInput& input, const std::filesystem::path& path) {
+  std::optional<Floor> floor;
+  std::vector<float> hidden;
+  if (input.floor_plane) {
+    const Vec3d n((*input.floor_plane)[0], (*input.floor_plane)[1], (*input.floor_plane)[2]);
+    floor = Floor{n.normalized().cast<float>(), static_cast<float>((*input.floor_plane)[3] / n.norm() - n.normalized().dot(proxy.origin_in_world))};
+  } else if (input.try_floor) {
+    std::vector<Mat3d> rotations;
+    for (const ObserveInput& p : input.photographs) rotations.push_back(p.camera.pose.rotation_camera_from_world);
+    floor = find_floor(proxy, rotations);
+  }
+  if (floor) {
+    hidden = hidden_by_floor(proxy, transport, smoother, *floor);
+    double mean = 0;
+    for (std::size_t i = 0; i < proxy.size(); ++i) mean += static_cast<double>(hidden[i * kSkyTerms]) / (3.14159265 * static_cast<double>(proxy.size()));
+    if (mean < static_cast<double>(kLeastFloorShare)) floor.reset();
+  }
+  write_floor(floor, hidden, path);
+}
+
+}  // namespace
 
 void gather_scene(const stream::Store& store, const AcquisitionInput& input, const AcquisitionOptions& options, const std::filesystem::path& folder,
                   MemoryBudget& budget, Reporter& report) {
@@ -619,12 +680,14 @@ void gather_scene(const stream::Store& store, const AcquisitionInput& input, con
   const Transport transport = gather(proxy, tracer, smoother, {options.rays, options.seed, kSmoothPasses}, report);
   write_proxy(proxy, store.manifest().key, folder / "proxy.bin");
   write_transport(transport, folder / "transport.bin");
+  write_floor_of(proxy, transport, smoother, input, folder / "floor.bin");
 }
 
 Scene load_scene(const stream::Store& store, const std::filesystem::path& folder) {
   Scene scene;
   scene.proxy = read_proxy(store, folder / "proxy.bin");
   scene.transport = read_transport(folder / "transport.bin", scene.proxy.size());
+  scene.floor = read_floor(folder / "floor.bin", scene.proxy.size(), scene.transport.hidden);
   scene.nearest = std::make_unique<NearestPoints>(scene.proxy.position);
   return scene;
 }
@@ -635,19 +698,22 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
   const std::size_t count = input.photographs.size();
   result.proxy_surfels = scene.proxy.size();
   result.back_share = scene.transport.back_share;
+  const Smoother smoother = make_smoother(scene.proxy, *scene.nearest);
   {
     const surfels::Tracer tracer = make_tracer(store, scene.proxy, budget);
     report.begin("observe", count, "photographs");
     for (std::size_t k = 0; k < count; ++k) {
       Observation o = observe(scene.proxy, input.photographs[k]);
-      if (const auto flash = flash_in_world(input, k)) cast_flash(scene.proxy, tracer, *flash, o);
+      if (const auto flash = flash_in_world(input, k)) {
+        cast_flash(scene.proxy, tracer, *flash, o);
+        if (scene.floor) write_floats(flash_by_floor(scene.proxy, scene.transport, smoother, tracer, *scene.floor, *flash), floor_flash_path(folder, k));
+      }
       write_observation(o, observation_path(folder, k));
       report.progress(k + 1);
       report.check();
     }
     report.end();
   }
-  const Smoother smoother = make_smoother(scene.proxy, *scene.nearest);
   result.light_of_photograph.assign(count, 0);
   std::vector<std::size_t> with_flash, without_flash;
   for (std::size_t k = 0; k < count; ++k) (input.photographs[k].flash_in_camera ? with_flash : without_flash).push_back(k);
@@ -684,7 +750,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
       guess_flash(scene, input, folder, start);
       report.begin(problems.size() > 1 ? concat("light ", input.names[photographs[0]]) : "light", static_cast<std::uint64_t>(options.outer_iterations), "iterations");
       const std::size_t number = result.lights.size();
-      result.lights.push_back(problem.solve(sky, input.sky == SkyModel::kAuto, start, result.outer_iterations, result.last_change, report));
+      result.lights.push_back(problem.solve(sky, start, result.outer_iterations, result.last_change, report));
       report.end();
       for (const std::size_t k : photographs)
         if (number == 0 || input.photographs[k].flash_in_camera) result.light_of_photograph[k] = number;

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "optimize/floor.h"
 #include "optimize/gather.h"
 #include "optimize/light_solve.h"
 #include "optimize/observe.h"
@@ -31,6 +32,8 @@ struct AcquisitionInput {
   std::vector<ReferenceTarget> references;
   SkyModel sky = SkyModel::kAuto;          ///< kAuto: as much as an information criterion finds worth its parameters
   Method method = Method::kJoint;
+  bool try_floor = true;                   ///< a floor outside the cloud is taken where the same criterion speaks for it
+  std::optional<std::array<double, 4>> floor_plane;   ///< n x, n y, n z, h: n . p = h in the world, n up; absent: found (optimize/floor.h)
 };
 
 struct AcquisitionOptions {
@@ -57,7 +60,7 @@ struct AcquisitionResult {
   double back_share = 0;
   int outer_iterations = 0;
   double last_change = 0;
-  std::string sky_model;                   ///< "none", "uniform", "sh1", "sh2", with " coloured" where the sky has a colour of its own
+  std::string sky_model;                   ///< "none", "uniform", "sh1", "sh2", with " coloured" where the sky has a colour of its own, " + floor" where a floor was found
   std::vector<SkyEvidence> sky_evidence;   ///< of the models that kAuto tried
   std::vector<std::string> notes;
 };
@@ -67,6 +70,7 @@ struct Scene {
   Proxy proxy;
   std::unique_ptr<NearestPoints> nearest;
   Transport transport;
+  std::optional<Floor> floor;
 };
 
 /// Chooses the proxy cut, orients it by what the photographs see, gathers, and writes folder/proxy.bin and folder/transport.bin.
@@ -81,6 +85,8 @@ Scene load_scene(const stream::Store& store, const std::filesystem::path& folder
 AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& scene, const AcquisitionInput& input, const AcquisitionOptions& options,
                                     const std::filesystem::path& folder, MemoryBudget& budget, Reporter& report);
 
+/// flash_by_floor() of a photograph: N floats; there where the scene has a floor.
+std::filesystem::path floor_flash_path(const std::filesystem::path& folder, std::size_t photograph);
 std::filesystem::path gathered_path(const std::filesystem::path& folder, std::size_t photograph);
 std::filesystem::path proxy_albedo_path(const std::filesystem::path& folder);
 

@@ -91,7 +91,7 @@ double adam_loss(const Transport& transport, const Observation& o, const AdamSta
   Lights lights;
   lights.flash_intensity = x.flash_intensity;
   lights.sky[0] = x.ambient;
-  const std::vector<float> direct = direct_irradiance(transport, o.flash, lights);
+  const std::vector<float> direct = direct_irradiance(transport, o.flash, {}, lights);
   // Series B_k = rho (E + F B_{k-1}); the adjoint walks it backwards, so each B_k is kept (as G_k = F B_{k-1}).
   std::vector<std::vector<float>> gathered(static_cast<std::size_t>(scatterings), std::vector<float>(3 * n, 0.0f));
   std::vector<float> b(3 * n, 0.0f);

@@ -32,7 +32,7 @@ struct Context {
   const Scene& scene;
   const ObserveInput& photograph;
   const LightSolution& solution;
-  const std::vector<float>& gathered;
+  const std::vector<float>&gathered, &floor_flash;   ///< floor_flash empty: no floor
   const AlbedoOptions& options;
   Vec3f flash;   ///< scene frame of the proxy
 };
@@ -68,17 +68,18 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
     const Stencil stencil = stencil_at(c.scene.proxy, *c.scene.nearest, point, band.normal(i));
     s.sky = interpolate<kSkyTerms>(stencil, c.scene.transport.sky);
     s.gathered = interpolate<3>(stencil, c.gathered);
+    if (lights.floor) s.hidden = interpolate<kSkyTerms>(stencil, c.scene.transport.hidden);
+    if (!c.floor_flash.empty()) s.floor_flash = interpolate<1>(stencil, c.floor_flash)[0];
   }
   const double direct = lights.flash_intensity * static_cast<double>(s.flash);
   double sky = 0, ambient = 0;   // as it falls in, before its colour; mean of the channels
-  if (!c.options.direct_only)
-    for (std::size_t k = 0; k < kSkyTerms; ++k) sky += lights.sky[k] * static_cast<double>(s.sky[k]);
-  sky = c.photograph.ambient_scale * std::max(0.0, sky);
+  if (!c.options.direct_only) sky = c.photograph.ambient_scale * std::max(0.0, sky_irradiance(lights, s.sky, s.hidden));
+  const double by_floor = lights.floor_albedo * lights.flash_intensity * static_cast<double>(s.floor_flash);
   const float colour[3] = {band.r[i], band.g[i], band.b[i]};
   double indirect_mean = 0, total_mean = 0;
   std::array<double, 3> h{};
   for (std::size_t ch = 0; ch < 3; ++ch) {
-    const double indirect = c.options.direct_only ? 0.0 : lights.bounce * static_cast<double>(s.gathered[ch]);
+    const double indirect = c.options.direct_only ? 0.0 : lights.bounce * static_cast<double>(s.gathered[ch]) + by_floor;
     h[ch] = direct + lights.sky_colour[ch] * sky + indirect;
     ambient += lights.sky_colour[ch] * sky / 3;
     indirect_mean += indirect / 3;
@@ -91,7 +92,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
     const double z = std::max(static_cast<double>(colour[ch]), 1e-9);
     noise += (c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma)) / (z * z) / 3;
   }
-  const double sd = direct / total_mean, sg = indirect_mean / total_mean;
+  const double sd = direct / total_mean, sg = indirect_mean / total_mean, sf = by_floor / total_mean;
   // No surface gives back twice what it receives: the light at this pixel is not what it is taken for (a shadow's edge, a highlight).
   const double brightest = static_cast<double>(std::max({out.albedo[0], out.albedo[1], out.albedo[2]}));
   if (brightest > kImpossible) {
@@ -116,13 +117,19 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   double light = 0;
   if (terms >= 2) {
     Eigen::VectorXd j = Eigen::VectorXd::Zero(terms);
-    j[0] = sd;
-    for (int k = 0; k < c.solution.sky_terms; ++k) j[1 + k] = c.photograph.ambient_scale * static_cast<double>(s.sky[static_cast<std::size_t>(k)]) / total_mean;
-    if (c.solution.sky_colour) {   // ln red and ln blue, in the mean over the channels
-      j[terms - 3] = lights.sky_colour[0] * sky / (3 * total_mean);
-      j[terms - 2] = lights.sky_colour[2] * sky / (3 * total_mean);
+    j[0] = sd + sf;
+    for (int k = 0; k < c.solution.sky_terms; ++k) {
+      const auto at = static_cast<std::size_t>(k);
+      j[1 + k] = c.photograph.ambient_scale * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - lights.floor_albedo : 1.0) * static_cast<double>(s.hidden[at])) / total_mean;
     }
-    j[terms - 1] = sg / std::max(1e-9, lights.bounce);
+    int next = 1 + c.solution.sky_terms;
+    if (c.solution.sky_colour) {   // ln red and ln blue, in the mean over the channels
+      j[next++] = lights.sky_colour[0] * sky / (3 * total_mean);
+      j[next++] = lights.sky_colour[2] * sky / (3 * total_mean);
+    }
+    if (lights.floor)
+      j[next++] = (lights.flash_intensity * static_cast<double>(s.floor_flash) + c.photograph.ambient_scale * lights.sky[0] * static_cast<double>(s.hidden[0])) / total_mean;
+    j[terms - 1] = (sg - sf) / std::max(1e-9, lights.bounce);
     light = j.dot(c.solution.covariance * j);
   }
   out.shared = static_cast<float>(std::sqrt(std::max(0.0, light) + square(sd * tan_flash * c.options.normal_sigma_rad) + square(0.03 * (1 - sd)) + 0.75 * blur));
@@ -132,16 +139,17 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
 }  // namespace
 
 AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, const LightSolution& lights, const Vec3d& flash_in_world,
-                         const std::filesystem::path& gathered_file, const AlbedoOptions& options, const std::filesystem::path& raster, Reporter& report) {
+                         const AlbedoInputs& inputs, const AlbedoOptions& options, const std::filesystem::path& raster, Reporter& report) {
   const stream::RasterReader radiance(photograph.radiance), gbuffer(photograph.gbuffer);
   const int width = gbuffer.width(), height = gbuffer.height();
-  std::vector<float> gathered;
-  if (!options.direct_only) gathered = read_floats(gathered_file, scene.proxy.size() * 3);
+  std::vector<float> gathered, floor_flash;
+  if (!options.direct_only) gathered = read_floats(inputs.gathered, scene.proxy.size() * 3);
+  if (!options.direct_only && lights.lights.floor) floor_flash = read_floats(inputs.floor_flash, scene.proxy.size());
   const char* names[] = {"r", "g", "b", "sigma", "shared", "direct", "indirect", "ambient"};
   std::vector<stream::PlaneInfo> planes;
   for (const char* name : names) planes.push_back({name, stream::PlaneType::kF32});
   stream::RasterWriter out(raster, width, height, planes);
-  const Context context{scene, photograph, lights, gathered, options, (flash_in_world - scene.proxy.origin_in_world).cast<float>()};
+  const Context context{scene, photograph, lights, gathered, floor_flash, options, (flash_in_world - scene.proxy.origin_in_world).cast<float>()};
   AlbedoStats stats;
   std::vector<float> sigmas;
   report.begin(concat("albedo ", photograph.camera.photograph), static_cast<std::uint64_t>(height), "rows");

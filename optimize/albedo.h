@@ -14,6 +14,11 @@ struct AlbedoOptions {
   bool direct_only = false;                ///< the standard pipeline: no ambient, no bounces
 };
 
+/// What the light stage left for a photograph.
+struct AlbedoInputs {
+  std::filesystem::path gathered, floor_flash;   ///< floor_flash is read where the lights have a floor
+};
+
 struct AlbedoStats {
   std::uint64_t pixels = 0, pixels_solved = 0, pixels_dark = 0, pixels_above_one = 0, pixels_impossible = 0;   ///< impossible: an albedo above 2, given no value
   double median_sigma = 0;
@@ -22,6 +27,6 @@ struct AlbedoStats {
 /// Writes `raster` with f32 planes r g b (albedo; NaN = no value), sigma (independent between photographs), shared (what all photographs of a surfel
 /// share: lights, normals, gather), direct, indirect, ambient (shares of the irradiance, sum 1). By bands of rows, in bounded memory.
 AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, const LightSolution& lights, const Vec3d& flash_in_world,
-                         const std::filesystem::path& gathered, const AlbedoOptions& options, const std::filesystem::path& raster, Reporter& report);
+                         const AlbedoInputs& inputs, const AlbedoOptions& options, const std::filesystem::path& raster, Reporter& report);
 
 }  // namespace chiaro::optimize

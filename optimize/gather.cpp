@@ -47,9 +47,18 @@ void sky_basis(const Vec3f& w, float* terms) {
   std::memcpy(terms, values, sizeof values);
 }
 
+RayFan::RayFan(const Proxy& proxy, std::uint64_t seed, std::size_t surfel) : normal_(proxy.normal[surfel]) {
+  const auto u = uniform01x4(seed, Purpose::kGatherRotation, surfel, 0);
+  shift_ = {u[0], u[1]};
+  basis_around(normal_, u_, v_);
+}
+
+Vec3f RayFan::direction(std::size_t ray) const { return cosine_direction(sequence_point(static_cast<int>(ray), shift_), normal_, u_, v_); }
+
 Transport gather(const Proxy& proxy, const surfels::Tracer& tracer, const Smoother& smoother, const GatherOptions& options, Reporter& report) {
   Transport transport;
   transport.rays = options.rays;
+  transport.seed = options.seed;
   const std::size_t n = proxy.size(), rays = static_cast<std::size_t>(options.rays);
   transport.hits.assign(n * rays, Transport::kSky);
   transport.sky.assign(n * kSkyTerms, 0.0f);
@@ -60,12 +69,10 @@ Transport gather(const Proxy& proxy, const surfels::Tracer& tracer, const Smooth
   parallel_blocks(n, 256, [&](std::size_t b, std::size_t e) {
     report.check();
     for (std::size_t i = b; i < e; ++i) {
-      const auto u = uniform01x4(options.seed, Purpose::kGatherRotation, i, 0);
-      Vec3f t, s;
-      basis_around(proxy.normal[i], t, s);
+      const RayFan fan(proxy, options.seed, i);
       float* sky = transport.sky.data() + i * kSkyTerms;
       for (std::size_t m = 0; m < rays; ++m) {
-        const Vec3f direction = cosine_direction(sequence_point(static_cast<int>(m), {u[0], u[1]}), proxy.normal[i], t, s);
+        const Vec3f direction = fan.direction(m);
         const surfels::Ray ray = surfels::escape_ray(proxy.position[i] + shift, proxy.normal[i], proxy.radius[i], direction, 1e30f);
         surfels::Hit hit;
         if (tracer.closest(ray, hit)) {
@@ -123,18 +130,20 @@ struct TransportHeader {
   std::uint32_t version, rays;
   std::uint64_t surfels;
   double back_share;
+  std::uint64_t seed;
   std::uint32_t crc, reserved;
 };
-constexpr char kMagic[8] = {'C', 'H', 'T', 'R', 'A', 'N', 'S', '1'};
+constexpr char kMagic[8] = {'C', 'H', 'T', 'R', 'A', 'N', 'S', '2'};
 }  // namespace
 
 void write_transport(const Transport& transport, const std::filesystem::path& path) {
   TransportHeader header{};
   std::memcpy(header.magic, kMagic, 8);
-  header.version = 1;
+  header.version = 2;
   header.rays = static_cast<std::uint32_t>(transport.rays);
   header.surfels = transport.size();
   header.back_share = transport.back_share;
+  header.seed = transport.seed;
   header.crc = crc32c(transport.sky.data(), transport.sky.size() * 4, crc32c(transport.hits.data(), transport.hits.size() * 4));
   AtomicFile file(path);
   file.append(&header, sizeof header);
@@ -147,13 +156,14 @@ Transport read_transport(const std::filesystem::path& path, std::size_t expected
   const File file(path, File::Mode::kRead);
   TransportHeader header{};
   file.read_at(0, &header, sizeof header);
-  if (std::memcmp(header.magic, kMagic, 8) != 0 || header.version != 1) throw Error(concat(path.string(), ": not a transport file of version 1"));
+  if (std::memcmp(header.magic, kMagic, 8) != 0 || header.version != 2) throw Error(concat(path.string(), ": not a transport file of version 2"));
   if (header.surfels != expected_surfels || header.rays == 0 || header.rays > 65536 ||
       file.size() != sizeof header + header.surfels * (header.rays + std::uint64_t{kSkyTerms}) * 4)
     throw Error(concat(path.string(), ": holds ", header.surfels, " surfels of ", header.rays, " rays in ", file.size(), " bytes, expected ", expected_surfels, " surfels"));
   Transport transport;
   transport.rays = static_cast<int>(header.rays);
   transport.back_share = header.back_share;
+  transport.seed = header.seed;
   transport.hits.resize(header.surfels * header.rays);
   transport.sky.resize(header.surfels * kSkyTerms);
   file.read_at(sizeof header, transport.hits.data(), transport.hits.size() * 4);

@@ -27,10 +27,23 @@ struct GatherOptions {
 struct Transport {
   static constexpr std::uint32_t kSky = 0xffffffffu;
   int rays = 0;
+  std::uint64_t seed = 1;            ///< the directions follow from it: see RayFan
   std::vector<std::uint32_t> hits;   ///< N * rays: proxy index that a ray meets, or kSky
   std::vector<float> sky;            ///< N * kSkyTerms, smoothed: pi / rays * sum over rays to the sky of basis; sky[0] = pi * v
+  std::vector<float> hidden;         ///< N * kSkyTerms or empty: what a floor outside the cloud would hide of `sky` (optimize/floor.h); kept in a file of its own
   double back_share = 0;             ///< rays that met a surfel from behind
   std::size_t size() const { return sky.size() / kSkyTerms; }
+};
+
+/// The directions of one surfel's rays: low-discrepancy, cosine-distributed, rotated by the surfel's index.
+class RayFan {
+ public:
+  RayFan(const Proxy& proxy, std::uint64_t seed, std::size_t surfel);
+  Vec3f direction(std::size_t ray) const;
+
+ private:
+  Vec3f normal_, u_, v_;
+  Vec2f shift_;
 };
 
 /// Casts the rays. Low-discrepancy directions, rotated per surfel by its index: the same bits for any thread count.

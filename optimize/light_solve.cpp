@@ -9,7 +9,7 @@
 namespace chiaro::optimize {
 namespace {
 
-constexpr int kMaxParameters = kSkyTerms + 4;
+constexpr int kMaxParameters = kSkyTerms + 5;
 using VecP = Eigen::Matrix<double, kMaxParameters, 1>;
 using MatP = Eigen::Matrix<double, kMaxParameters, kMaxParameters>;
 
@@ -18,17 +18,19 @@ constexpr double kNormalSd = 0.01745;                ///< one degree
 constexpr double kGatherSd = 0.03;                   ///< relative error of smoothed sky and bounce terms
 constexpr double kShadowSd = 0.02;                   ///< relative error of the gathered light that all places where it prevails share: cuts, unseen surfaces (measured 1.3 %)
 constexpr double kSkyColourSd = 0.5;                 ///< of ln red and ln blue of the ambient light beside green: a candle is 1.2 off, shade -0.3
+constexpr double kFloorAlbedo = 0.3, kFloorSd = 0.3, kWhitestFloor = 0.95;   ///< soil and stone to whitewash
 constexpr double kWhiteSd = 0.1;                     ///< of ln albedo above 1
 constexpr double kCauchy = 2.385;                    ///< 95 % efficiency for normal residuals (Holland & Welsch 1977)
 constexpr std::size_t kGroupGrain = 256;
 
-/// Parameters: 0 = ln flash, 1 .. sky_terms = sky, then ln red and ln blue of the sky if they are solved, last = bounce.
+/// Parameters: 0 = ln flash, 1 .. sky_terms = sky, then ln red and ln blue of the sky if they are solved, the floor's albedo if there is one, last = bounce.
 struct Layout {
   int sky_terms;
-  bool coloured;
+  bool coloured, floor;
   int red() const { return sky_terms + 1; }
   int blue() const { return sky_terms + 2; }
-  int bounce() const { return sky_terms + (coloured ? 3 : 1); }
+  int floor_albedo() const { return sky_terms + (coloured ? 3 : 1); }
+  int bounce() const { return floor_albedo() + (floor ? 1 : 0); }
   int size() const { return bounce() + 1; }
 };
 
@@ -47,23 +49,20 @@ std::vector<Group> groups_of(std::span<const LightSample> samples) {
   return groups;
 }
 
-/// Residual ln(B/H) and its derivative by the parameters; false where the logarithm does not exist.
-bool residual(const Lights& x, const LightSample& s, int c, const Layout& layout, double& r, VecP& j) {
-  const double h = irradiance(x, s, c), b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]);
-  if (!(h > 0) || !(b > 0)) return false;
-  r = std::log(b / h);
-  j.setZero();
-  j[0] = -x.flash_intensity * static_cast<double>(s.flash) / h;
-  const double colour = x.sky_colour[static_cast<std::size_t>(c)];
-  double sky = 0;
+/// Of ln(B/H) by the parameters, where H is h.
+VecP derivative(const Lights& x, const LightSample& s, int c, const Layout& layout, double h) {
+  VecP j = VecP::Zero();
+  const double colour = x.sky_colour[static_cast<std::size_t>(c)], by_floor = x.floor ? static_cast<double>(s.floor_flash) : 0.0;
+  j[0] = -x.flash_intensity * (static_cast<double>(s.flash) + x.floor_albedo * by_floor) / h;
   for (int k = 0; k < layout.sky_terms; ++k) {
-    const double t = colour * static_cast<double>(s.sky[static_cast<std::size_t>(k)]);
-    j[1 + k] = -t / h;
-    sky += x.sky[static_cast<std::size_t>(k)] * t;
+    const auto at = static_cast<std::size_t>(k);
+    const double hidden = x.floor ? static_cast<double>(s.hidden[at]) : 0.0;
+    j[1 + k] = -colour * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - x.floor_albedo : 1.0) * hidden) / h;
   }
-  if (layout.coloured && c != 1) j[c == 0 ? layout.red() : layout.blue()] = -sky / h;
+  if (layout.coloured && c != 1) j[c == 0 ? layout.red() : layout.blue()] = -colour * sky_irradiance(x, s.sky, s.hidden) / h;
+  if (layout.floor) j[layout.floor_albedo()] = -(x.flash_intensity * by_floor + colour * x.sky[0] * static_cast<double>(s.hidden[0])) / h;
   j[layout.bounce()] = -static_cast<double>(s.gathered[static_cast<std::size_t>(c)]) / h;
-  return true;
+  return j;
 }
 
 struct Normal {
@@ -84,44 +83,52 @@ struct Normal {
 
 /// One group, one channel: residuals with the shared log albedo removed.
 struct Deviations {
-  std::vector<double> r, w, shadow;   ///< shadow: share of the gathered light where it prevails, else 0
+  std::vector<double> r, w, robust, shadow;   ///< robust: factor on w in the mean. shadow: share of the gathered light where it prevails, else 0
   std::vector<VecP> j;
   double mean_r = 0;
   VecP mean_j = VecP::Zero();
 };
 
 /// weigh: the lights that the weights belong to; held still while steps are compared, since a step could lower the objective by lowering weights alone.
-bool deviations(const Lights& x, const Lights& weigh, std::span<const LightSample> samples, int c, const Layout& layout, double cauchy_scale, Deviations& d) {
+/// with_derivatives false: j, mean_j and shadow stay empty.
+bool deviations(const Lights& x, const Lights& weigh, std::span<const LightSample> samples, int c, const Layout& layout, double cauchy_scale, bool with_derivatives, Deviations& d) {
   d.r.clear();
   d.w.clear();
   d.shadow.clear();
   d.j.clear();
   for (const LightSample& s : samples) {
-    double r;
-    VecP j;
-    if (!residual(x, s, c, layout, r, j)) continue;
-    d.r.push_back(r);
-    d.j.push_back(j);
-    const double gathered = -x.bounce * j[layout.bounce()];
-    d.shadow.push_back(gathered > 0.5 ? gathered : 0);
+    const double h = irradiance(x, s, c), b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]);
+    if (!(h > 0) || !(b > 0)) continue;
+    d.r.push_back(std::log(b / h));
     d.w.push_back(sample_weight(weigh, s) * static_cast<double>(s.trust));
+    if (!with_derivatives) continue;
+    d.j.push_back(derivative(x, s, c, layout, h));
+    const double gathered = -x.bounce * d.j.back()[layout.bounce()];
+    d.shadow.push_back(gathered > 0.5 ? gathered : 0);
   }
   if (d.r.size() < 2) return false;
-  // Two rounds: the mean decides the weights, the weights the mean.
+  // The mean decides the weights, the weights the mean.
+  d.robust.assign(d.r.size(), 1.0);
+  double sw = 0;
   for (int round = 0; round < 3; ++round) {
-    double sw = 0, swr = 0;
-    VecP swj = VecP::Zero();
+    double swr = 0;
+    sw = 0;
     for (std::size_t k = 0; k < d.r.size(); ++k) {
-      const double robust = round == 0 || cauchy_scale <= 0 ? 1.0 : 1.0 / (1.0 + d.w[k] * (d.r[k] - d.mean_r) * (d.r[k] - d.mean_r) / (cauchy_scale * cauchy_scale));
-      const double w = d.w[k] * robust;
-      sw += w;
-      swr += w * d.r[k];
-      swj += w * d.j[k];
+      if (round > 0 && cauchy_scale > 0) d.robust[k] = 1.0 / (1.0 + d.w[k] * (d.r[k] - d.mean_r) * (d.r[k] - d.mean_r) / (cauchy_scale * cauchy_scale));
+      sw += d.w[k] * d.robust[k];
+      swr += d.w[k] * d.robust[k] * d.r[k];
     }
     d.mean_r = swr / sw;
-    d.mean_j = swj / sw;
   }
+  d.mean_j.setZero();
+  for (std::size_t k = 0; k < d.j.size(); ++k) d.mean_j += (d.w[k] * d.robust[k] / sw) * d.j[k];
   return true;
+}
+
+/// Lower triangle of a += w * j * j^T, of the parameters there are.
+void add_outer(MatP& a, double w, const VecP& j, int p) {
+  for (int row = 0; row < p; ++row)
+    for (int column = 0; column <= row; ++column) a(row, column) += w * j[row] * j[column];
 }
 
 double median(std::vector<double>& v) {
@@ -138,7 +145,7 @@ std::pair<double, double> robust_scale(const Lights& x, std::span<const LightSam
   const std::size_t stride = std::max<std::size_t>(1, groups.size() / 20000);
   for (std::size_t g = 0; g < groups.size(); g += stride)
     for (int c = 0; c < 3; ++c) {
-      if (!deviations(x, x, samples.subspan(groups[g].begin, groups[g].end - groups[g].begin), c, layout, 0, d)) continue;
+      if (!deviations(x, x, samples.subspan(groups[g].begin, groups[g].end - groups[g].begin), c, layout, 0, false, d)) continue;
       const double freedom = std::sqrt(static_cast<double>(d.r.size()) / static_cast<double>(d.r.size() - 1));
       for (std::size_t k = 0; k < d.r.size(); ++k) {
         const double e = std::fabs(d.r[k] - d.mean_r) * freedom;
@@ -150,37 +157,39 @@ std::pair<double, double> robust_scale(const Lights& x, std::span<const LightSam
 }
 
 /// No surface gives back more than it receives: a shared albedo above 1 pulls the lights up. Robust, since highlights exist.
-void add_white_limit(const Deviations& d, double cauchy_scale, Normal& n) {
+void add_white_limit(const Deviations& d, double cauchy_scale, int p, Normal& n) {
   if (!(d.mean_r > 0)) return;
   constexpr double kWeight = 1 / (kWhiteSd * kWhiteSd);
   const double u2 = kWeight * d.mean_r * d.mean_r / (cauchy_scale * cauchy_scale), w = kWeight / (1.0 + u2);
-  n.a += w * d.mean_j * d.mean_j.transpose();
+  add_outer(n.a, w, d.mean_j, p);
   n.g -= w * d.mean_r * d.mean_j;
   n.objective += 0.5 * cauchy_scale * cauchy_scale * std::log1p(u2);
 }
 
-Normal accumulate(const Lights& x, const Lights& weigh, std::span<const LightSample> samples, const std::vector<Group>& groups, const Layout& layout, double cauchy_scale) {
+Normal accumulate(const Lights& x, const Lights& weigh, std::span<const LightSample> samples, const std::vector<Group>& groups, const Layout& layout, double cauchy_scale,
+                  bool with_derivatives) {
   return deterministic_sum<Normal>(groups.size(), kGroupGrain, Normal{}, [&](std::size_t b, std::size_t e) {
     Normal n;
     Deviations d;
     for (std::size_t g = b; g < e; ++g) {
       VecP score = VecP::Zero();
       for (int c = 0; c < 3; ++c) {
-        if (!deviations(x, weigh, samples.subspan(groups[g].begin, groups[g].end - groups[g].begin), c, layout, cauchy_scale, d)) continue;
+        if (!deviations(x, weigh, samples.subspan(groups[g].begin, groups[g].end - groups[g].begin), c, layout, cauchy_scale, with_derivatives, d)) continue;
         for (std::size_t k = 0; k < d.r.size(); ++k) {
           const double r = d.r[k] - d.mean_r;
           const double u2 = d.w[k] * r * r / (cauchy_scale * cauchy_scale);
+          n.objective += 0.5 * cauchy_scale * cauchy_scale * std::log1p(u2);
+          if (!with_derivatives) continue;
           const double w = d.w[k] / (1.0 + u2);
           const VecP j = d.j[k] - d.mean_j;
-          n.a += w * j * j.transpose();
+          add_outer(n.a, w, j, layout.size());
           n.g -= w * r * j;
           n.shadow += w * d.shadow[k] * j;
           score += w * r * j;
-          n.objective += 0.5 * cauchy_scale * cauchy_scale * std::log1p(u2);
         }
-        add_white_limit(d, cauchy_scale, n);
+        add_white_limit(d, cauchy_scale, layout.size(), n);
       }
-      n.meat += score * score.transpose();
+      add_outer(n.meat, 1, score, layout.size());
     }
     return n;
   });
@@ -197,14 +206,15 @@ double light_variance(const Lights& lights, const LightSample& s) {
 void add_references(const Lights& x, const Lights& weigh, std::span<const ReferenceSample> references, const Layout& layout, Normal& n) {
   for (const ReferenceSample& ref : references)
     for (int c = 0; c < 3; ++c) {
-      double r;
-      VecP j;
-      if (!residual(x, ref.sample, c, layout, r, j)) continue;
-      r -= std::log(ref.albedo[static_cast<std::size_t>(c)]);
+      const auto at = static_cast<std::size_t>(c);
+      const double h = irradiance(x, ref.sample, c), b = static_cast<double>(ref.sample.radiosity[at]);
+      if (!(h > 0) || !(b > 0)) continue;
+      const double r = std::log(b / h) - std::log(ref.albedo[at]);
+      const VecP j = derivative(x, ref.sample, c, layout, h);
       // The channels of one target share its error: together they count once. What the light model is good for at that place counts too: a target in
       // shadow, or seen by a grazing flash, says less.
       const double w = 1.0 / (3.0 * (ref.sigma * ref.sigma + light_variance(weigh, ref.sample)));
-      n.a += w * j * j.transpose();
+      add_outer(n.a, w, j, layout.size());
       n.g -= w * r * j;
       n.objective += 0.5 * w * r * r;
     }
@@ -229,6 +239,13 @@ void add_priors(const Lights& x, const Lights& weigh, const LightSolveOptions& o
       n.g[at] -= kWeight * std::log(colour);
       n.objective += 0.5 * kWeight * std::log(colour) * std::log(colour);
     }
+  if (layout.floor) {
+    constexpr double kWeight = 1 / (kFloorSd * kFloorSd);
+    const double e = x.floor_albedo - kFloorAlbedo;
+    n.a(layout.floor_albedo(), layout.floor_albedo()) += kWeight;
+    n.g[layout.floor_albedo()] -= kWeight * e;
+    n.objective += 0.5 * kWeight * e * e;
+  }
   // Directional sky terms are small against the mean: a weak pull to zero keeps unseen directions quiet.
   for (int k = 1; k < layout.sky_terms; ++k) {
     const double scale = std::max(weigh.sky[0], 1e-6 * weigh.flash_intensity), ws = 1.0 / (scale * scale), value = x.sky[static_cast<std::size_t>(k)];
@@ -247,9 +264,13 @@ Lights stepped(const Lights& x, const VecP& step, const Layout& layout) {
     y.sky_colour[0] *= std::exp(std::clamp(step[layout.red()], -0.5, 0.5));
     y.sky_colour[2] *= std::exp(std::clamp(step[layout.blue()], -0.5, 0.5));
   }
+  if (layout.floor) y.floor_albedo = std::clamp(y.floor_albedo + step[layout.floor_albedo()], 0.0, kWhitestFloor);
   y.bounce = std::clamp(y.bounce + step[layout.bounce()], 0.0, 2.0);
   return y;
 }
+
+/// The matrix of which only the lower triangle was summed.
+Eigen::MatrixXd whole(const MatP& lower, int p) { return lower.topLeftCorner(p, p).selfadjointView<Eigen::Lower>(); }
 
 double residuals_of(const std::vector<Group>& groups) {
   double residuals = 0;
@@ -263,11 +284,19 @@ double information_of(const std::vector<Group>& groups, const LightSolveOptions&
 
 }  // namespace
 
+double sky_irradiance(const Lights& lights, std::span<const float, kSkyTerms> sky, std::span<const float> hidden) {
+  double h = 0;
+  for (std::size_t k = 0; k < kSkyTerms; ++k) h += lights.sky[k] * static_cast<double>(sky[k]);
+  if (!lights.floor || hidden.empty()) return h;
+  for (std::size_t k = 0; k < kSkyTerms; ++k) h -= lights.sky[k] * static_cast<double>(hidden[k]);
+  return h + lights.floor_albedo * lights.sky[0] * static_cast<double>(hidden[0]);
+}
+
 double irradiance(const Lights& lights, const LightSample& s, int c) {
-  double h = lights.flash_intensity * static_cast<double>(s.flash) + lights.bounce * static_cast<double>(s.gathered[static_cast<std::size_t>(c)]);
-  const double colour = lights.sky_colour[static_cast<std::size_t>(c)];
-  for (std::size_t k = 0; k < kSkyTerms; ++k) h += colour * lights.sky[k] * static_cast<double>(s.sky[k]);
-  return h;
+  const auto at = static_cast<std::size_t>(c);
+  const double by_floor = lights.floor ? lights.floor_albedo * static_cast<double>(s.floor_flash) : 0.0;
+  return lights.flash_intensity * (static_cast<double>(s.flash) + by_floor) + lights.bounce * static_cast<double>(s.gathered[at]) +
+         lights.sky_colour[at] * sky_irradiance(lights, s.sky, s.hidden);
 }
 
 double sample_weight(const Lights& lights, const LightSample& s) {
@@ -281,14 +310,14 @@ double independent_residuals(std::span<const LightSample> samples, const LightSo
 }
 
 double light_misfit(std::span<const LightSample> samples, const LightSolveOptions& options, const Lights& lights, const Lights& base) {
-  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0};
+  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor};
   const std::vector<Group> groups = groups_of(samples);
   const double scale = kCauchy * std::max(robust_scale(base, samples, groups, layout).first, 0.1), dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy));
-  return accumulate(lights, base, samples, groups, layout, scale).objective * information_of(groups, options) / (dispersion * dispersion);
+  return accumulate(lights, base, samples, groups, layout, scale, false).objective * information_of(groups, options) / (dispersion * dispersion);
 }
 
 LightSolution solve_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& start) {
-  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0};
+  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor};
   const std::vector<Group> groups = groups_of(samples);
   if (groups.empty() && references.empty() && !options.flash_ln_mean)
     throw Error("lights: no surfel is seen twice, nothing of known albedo is given and the flash has no calibrated range: the light cannot be found");
@@ -301,11 +330,13 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
   const double information = information_of(groups, options);
   Lights x = start;
   if (!layout.coloured) x.sky_colour = {1, 1, 1};
+  if (layout.floor && !x.floor) x.floor_albedo = kFloorAlbedo;
+  x.floor = layout.floor;
   for (int k = options.sky_terms; k < kSkyTerms; ++k) x.sky[static_cast<std::size_t>(k)] = 0;
   const int p = layout.size();
   double damping = 1e-4;
-  const auto build = [&](const Lights& at, const Lights& weigh, double scale) {
-    Normal n = accumulate(at, weigh, samples, groups, layout, scale);
+  const auto build = [&](const Lights& at, const Lights& weigh, double scale, bool with_derivatives) {
+    Normal n = accumulate(at, weigh, samples, groups, layout, scale, with_derivatives);
     // Residuals beyond what their weights expect are the model's: the samples say that much less, and as much fewer of them are independent.
     const double dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy)), independent = information / dispersion;
     n.a *= independent / dispersion;
@@ -318,12 +349,12 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
     return n;
   };
   double scale = kCauchy * std::max(robust_scale(x, samples, groups, layout).first, 0.1);
-  Normal here = build(x, x, scale);
+  Normal here = build(x, x, scale, true);
   for (int it = 0; it < options.max_iterations; ++it) {
     solution.iterations = it + 1;
     bool pinned = false;   // the sky cannot become darker than black
     if (layout.sky_terms > 0 && x.sky[0] <= 0 && here.g[1] < 0) pinned = true;
-    Eigen::MatrixXd a = here.a.topLeftCorner(p, p);
+    Eigen::MatrixXd a = whole(here.a, p);
     Eigen::VectorXd g = here.g.head(p);
     for (int k = 0; k < p; ++k) a(k, k) += damping * std::max(a(k, k), 1e-12) + 1e-30;
     if (pinned) {
@@ -336,7 +367,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
     VecP step = VecP::Zero();
     step.head(p) = solved;
     const Lights y = stepped(x, step, layout);
-    const Normal there = build(y, x, scale);
+    const Normal there = build(y, x, scale, false);
     if (!(there.objective <= here.objective * (1 + 1e-12))) {
       damping = std::max(damping * 10, 1e-6);
       if (damping < 1e8) continue;
@@ -353,18 +384,18 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
     }
     // The scale follows the residuals while they still shrink.
     if (it < 8) scale = kCauchy * std::max(robust_scale(x, samples, groups, layout).first, 0.1);
-    here = build(x, x, scale);
+    here = build(x, x, scale, true);
   }
   solution.lights = x;
   solution.scatter = robust_scale(x, samples, groups, layout).second;
   // Sandwich: the scatter of the groups' scores is what the data say about their own reliability.
-  Eigen::MatrixXd a = here.a.topLeftCorner(p, p), bread;
+  Eigen::MatrixXd a = whole(here.a, p), bread;
   for (int k = 0; k < p; ++k) a(k, k) += 1e-12;
   bread = a.ldlt().solve(Eigen::MatrixXd::Identity(p, p));
   Normal outside;
   add_references(x, x, references, layout, outside);
   add_priors(x, x, options, layout, outside);
-  const Eigen::MatrixXd meat = here.meat.topLeftCorner(p, p) + outside.a.topLeftCorner(p, p);
+  const Eigen::MatrixXd meat = whole(here.meat, p) + whole(outside.a, p);
   const Eigen::VectorXd systematic = kShadowSd * (bread * here.shadow.head(p));
   solution.covariance = bread * meat * bread.transpose() + systematic * systematic.transpose();
   return solution;

@@ -14,10 +14,13 @@
 namespace chiaro::optimize {
 
 /// H = flash_intensity * d + sky_colour * sum_b sky[b] * T_b + bounce * G, irradiance per colour channel. The flash is grey: it is what white is measured by.
+/// With a floor: T less what it hides, and what it gives back, floor_albedo * (flash_intensity * K + sky_colour * sky[0] * hidden_0).
 struct Lights {
   double flash_intensity = 1;                 ///< W/sr in the photographs' radiometric unit
   std::array<double, kSkyTerms> sky{};        ///< sky[0]: ambient radiance; then the terms of sky_basis()
   std::array<double, 3> sky_colour{1, 1, 1};  ///< of the ambient light beside the flash's; green is 1
+  bool floor = false;
+  double floor_albedo = 0;                    ///< of a floor outside the cloud (optimize/floor.h)
   double bounce = 1;                          ///< factor on the gathered light; 1 within what the transport is good for
 };
 
@@ -27,6 +30,8 @@ struct LightSample {
   std::array<float, 3> radiosity{}, gathered{};
   float flash = 0;                            ///< d
   std::array<float, kSkyTerms> sky{};         ///< T
+  std::array<float, kSkyTerms> hidden{};      ///< of T by the floor
+  float floor_flash = 0;                      ///< K: d by way of a white floor
   float variance = 0, spread = 0, tan_flash = 0;
   float trust = 1;                            ///< extra weight, 0..1 (pairs of unlike chroma)
 };
@@ -41,6 +46,7 @@ struct ReferenceSample {
 struct LightSolveOptions {
   int sky_terms = 1;                          ///< 0, 1, 4 or 9
   bool sky_colour = false;                    ///< red and blue of the sky are unknowns too; needs sky_terms > 0
+  bool floor = false;                         ///< there is one, of unknown albedo
   std::optional<double> flash_ln_mean, flash_ln_sd;   ///< prior on ln flash_intensity
   bool flash_is_guess = false;                ///< that prior keeps the scale sane and is no knowledge of it
   double bounce_mean = 1, bounce_sd = 0.05;   ///< prior on bounce; sd 0 = fixed at the mean
@@ -53,13 +59,16 @@ struct LightSolution {
   Lights lights;
   int sky_terms = 0;
   bool sky_colour = false;
-  Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), ln red and ln blue of the sky if solved, bounce): sandwich estimate, priors and the common error of gathered light included
+  Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), ln red and ln blue of the sky if solved, floor_albedo if there is one, bounce): sandwich estimate, priors and the common error of gathered light included
   double scatter = 0;                         ///< robust standard deviation of ln albedo between samples of a group
   std::size_t groups = 0, samples = 0;
   int iterations = 0;
   bool converged = false;
   bool scale_known = false;                   ///< a prior or a reference fixed the absolute scale
 };
+
+/// The sky's part before its colour, directly and by way of the floor.
+double sky_irradiance(const Lights& lights, std::span<const float, kSkyTerms> sky, std::span<const float> hidden);
 
 /// Irradiance of a sample, channel c.
 double irradiance(const Lights& lights, const LightSample& sample, int c);

@@ -32,6 +32,7 @@ struct Observation {
   std::vector<float> spread;           ///< relative standard deviation of the flash irradiance in those pixels
   std::vector<float> variance;         ///< of ln radiosity: pixel noise and what registration does (gradient), mean of the channels
   std::vector<float> tan_flash;        ///< tangent of the flash's angle of incidence
+  std::vector<float> floor_flash;      ///< flash_by_floor() (optimize/floor.h), or empty; kept in a file of its own
 };
 
 /// +1 where the camera sees the surfel's front as stored, -1 where it sees the back, 0 unseen: votes for orient().

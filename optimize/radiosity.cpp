@@ -7,14 +7,15 @@
 
 namespace chiaro::optimize {
 
-std::vector<float> direct_irradiance(const Transport& transport, std::span<const float> flash, const Lights& lights) {
+std::vector<float> direct_irradiance(const Transport& transport, std::span<const float> flash, std::span<const float> floor_flash, const Lights& lights) {
+  const bool floor = lights.floor && !floor_flash.empty();
   std::vector<float> e(3 * transport.size());
   parallel_blocks(transport.size(), 8192, [&](std::size_t b, std::size_t end) {
     for (std::size_t i = b; i < end; ++i) {
-      double sky = 0;
-      for (std::size_t k = 0; k < kSkyTerms; ++k) sky += lights.sky[k] * static_cast<double>(transport.sky[i * kSkyTerms + k]);
-      for (std::size_t c = 0; c < 3; ++c)
-        e[3 * i + c] = static_cast<float>(lights.flash_intensity * static_cast<double>(flash[i]) + lights.sky_colour[c] * std::max(0.0, sky));
+      const std::span<const float> hidden = transport.hidden.empty() ? std::span<const float>() : std::span<const float>(transport.hidden).subspan(i * kSkyTerms, kSkyTerms);
+      const double sky = sky_irradiance(lights, std::span<const float, kSkyTerms>(transport.sky.data() + i * kSkyTerms, kSkyTerms), hidden);
+      const double lit = static_cast<double>(flash[i]) + (floor ? lights.floor_albedo * static_cast<double>(floor_flash[i]) : 0.0);
+      for (std::size_t c = 0; c < 3; ++c) e[3 * i + c] = static_cast<float>(lights.flash_intensity * lit + lights.sky_colour[c] * std::max(0.0, sky));
     }
   });
   return e;
@@ -60,7 +61,7 @@ std::pair<double, double> sweep_unseen(const Transport& transport, std::span<con
 
 std::vector<float> complete_radiosity(const Transport& transport, const Smoother& smoother, int smooth_passes, const Lights& lights, std::span<const float> albedo,
                                       Observation& o, int max_sweeps, double tolerance, int* sweeps) {
-  const std::vector<float> direct = direct_irradiance(transport, o.flash, lights);
+  const std::vector<float> direct = direct_irradiance(transport, o.flash, o.floor_flash, lights);
   std::vector<std::uint32_t> unseen;
   double seen_sum = 0;
   for (std::size_t i = 0; i < transport.size(); ++i) {

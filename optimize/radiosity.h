@@ -9,8 +9,8 @@
 
 namespace chiaro::optimize {
 
-/// Irradiance without bounces: flash and sky. 3 N values.
-std::vector<float> direct_irradiance(const Transport& transport, std::span<const float> flash, const Lights& lights);
+/// Irradiance without bounces of the cloud: flash and sky, and a floor's share of both. 3 N values. floor_flash: flash_by_floor(), may be empty.
+std::vector<float> direct_irradiance(const Transport& transport, std::span<const float> flash, std::span<const float> floor_flash, const Lights& lights);
 
 /// B of unseen surfels = albedo * (direct + bounce * F B), by sweeps that start from what o.radiosity holds; seen surfels keep their measurement.
 /// albedo: 3 N. Stops after max_sweeps or when no value moves by more than tolerance of the mean. Returns G = F B, smoothed; sweeps done in `sweeps`.

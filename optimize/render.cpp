@@ -37,8 +37,13 @@ RenderSet load_set(const stream::Store& store, const stream::Layer& layer, const
   return r;
 }
 
-/// Light that reaches the proxy under the view's flash, after all bounces.
-std::vector<float> bounced_light(const stream::Store& store, const Scene& scene, const std::vector<float>& proxy_albedo, const Lights& lights, const Vec3d& flash_in_world,
+/// Light that reaches the proxy under the view's flash other than from flash and sky.
+struct OtherLight {
+  std::vector<float> gathered;      ///< after all bounces, 3 N
+  std::vector<float> floor_flash;   ///< by way of a white floor, N; empty: no floor
+};
+
+OtherLight other_light(const stream::Store& store, const Scene& scene, const std::vector<float>& proxy_albedo, const Lights& lights, const Vec3d& flash_in_world,
                                  int scatterings, MemoryBudget& budget) {
   surfels::Tracer tracer(scene.proxy.origin_in_world, budget);
   for (const std::uint32_t c : scene.proxy.chunks) tracer.add(store.read_chunk(c));
@@ -49,19 +54,21 @@ std::vector<float> bounced_light(const stream::Store& store, const Scene& scene,
   o.flash.assign(n, 0.0f);
   o.tan_flash.assign(n, 0.0f);
   cast_flash(scene.proxy, tracer, flash_in_world, o);
-  const std::vector<float> direct = direct_irradiance(scene.transport, o.flash, lights);
+  const Smoother smoother = make_smoother(scene.proxy, *scene.nearest);
+  OtherLight other;
+  if (lights.floor && scene.floor) other.floor_flash = flash_by_floor(scene.proxy, scene.transport, smoother, tracer, *scene.floor, flash_in_world);
+  const std::vector<float> direct = direct_irradiance(scene.transport, o.flash, other.floor_flash, lights);
   const std::vector<float> b = forward_radiosity(scene.transport, proxy_albedo, direct, lights.bounce, scatterings);
-  std::vector<float> g;
-  gather_radiosity(scene.transport, b, g);
-  make_smoother(scene.proxy, *scene.nearest).apply(g, 3, kSmoothPasses);
-  return g;
+  gather_radiosity(scene.transport, b, other.gathered);
+  smoother.apply(other.gathered, 3, kSmoothPasses);
+  return other;
 }
 
 struct Shader {
   const RenderSet& set;
   const Scene& scene;
   const std::vector<float>& proxy_albedo;
-  const std::vector<float>& gathered;
+  const OtherLight& other;
   const Lights& lights;
   const RenderView& view;
   const RenderOptions& options;
@@ -126,10 +133,14 @@ struct Shader {
     if (options.mode == RenderMode::kFull) {
       const Stencil stencil = stencil_at(scene.proxy, *scene.nearest, point * scale + proxy_from_tracer, normal.normalized());
       const auto sky = interpolate<kSkyTerms>(stencil, scene.transport.sky);
-      const auto g = interpolate<3>(stencil, gathered);
-      double ambient = 0;
-      for (std::size_t k = 0; k < kSkyTerms; ++k) ambient += lights.sky[k] * static_cast<double>(sky[k]);
-      for (int c = 0; c < 3; ++c) radiance[c] += albedo[c] * (static_cast<float>(lights.sky_colour[static_cast<std::size_t>(c)] * std::max(0.0, ambient)) + static_cast<float>(lights.bounce) * g[static_cast<std::size_t>(c)]);
+      const auto g = interpolate<3>(stencil, other.gathered);
+      std::array<float, kSkyTerms> hidden{};
+      if (lights.floor && scene.floor) hidden = interpolate<kSkyTerms>(stencil, scene.transport.hidden);
+      const auto ambient = static_cast<float>(std::max(0.0, sky_irradiance(lights, sky, hidden)));
+      const float by_floor = other.floor_flash.empty() ? 0.0f : static_cast<float>(lights.floor_albedo * lights.flash_intensity) * interpolate<1>(stencil, other.floor_flash)[0];
+      for (std::size_t c = 0; c < 3; ++c)
+        radiance[static_cast<Eigen::Index>(c)] +=
+            albedo[static_cast<Eigen::Index>(c)] * (by_floor + static_cast<float>(lights.sky_colour[c]) * ambient + static_cast<float>(lights.bounce) * g[c]);
     }
     return radiance * (coverage / kPi);
   }
@@ -143,10 +154,10 @@ RenderStats render(const stream::Store& store, const stream::Layer& layer, const
   lights.flash_intensity = view.flash_intensity;
   for (double& s : lights.sky) s *= view.ambient_scale;
   const Vec3d flash_in_world = view.pose.world_from_camera(view.flash_in_camera);
-  std::vector<float> gathered;
-  if (options.mode == RenderMode::kFull) gathered = bounced_light(store, scene, proxy_albedo, lights, flash_in_world, options.scatterings, budget);
+  OtherLight other;
+  if (options.mode == RenderMode::kFull) other = other_light(store, scene, proxy_albedo, lights, flash_in_world, options.scatterings, budget);
   const RenderSet set = load_set(store, layer, view, budget, report);
-  const Shader shader{set, scene, proxy_albedo, gathered, lights, view, options, set.tracer.scene_from_world(view.pose.centre_in_world()),
+  const Shader shader{set, scene, proxy_albedo, other, lights, view, options, set.tracer.scene_from_world(view.pose.centre_in_world()),
                       set.tracer.scene_from_world(flash_in_world), (set.tracer.origin_in_world() - scene.proxy.origin_in_world).cast<float>(),
                       view.pose.rotation_camera_from_world.transpose().cast<float>()};
   const int width = view.lens.width_px, height = view.lens.height_px;

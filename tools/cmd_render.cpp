@@ -40,6 +40,9 @@ RunLights read_lights(const RunFolder& folder) {
       r.acquisition = a.at("acquisition");
       r.lights.flash_intensity = found->at("flash_intensity");
       r.lights.sky = found->at("sky").get<std::array<double, optimize::kSkyTerms>>();
+      r.lights.sky_colour = found->at("sky_colour").get<std::array<double, 3>>();
+      r.lights.floor = found->contains("floor_albedo");
+      if (r.lights.floor) r.lights.floor_albedo = found->at("floor_albedo");
       r.lights.bounce = found->at("bounce");
       for (const Json& p : project.at("acquisition"))
         if (p.at("name") == r.acquisition && !p.at("flash").is_null())

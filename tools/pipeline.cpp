@@ -308,6 +308,8 @@ class Pipeline {
     optimize::AcquisitionInput input;
     input.intensity_range = a.flash->intensity_range;
     input.sky = sky_model(a.ambient);
+    input.try_floor = a.floor != FloorModel::kNone;
+    input.floor_plane = a.floor_plane;
     input.method = solve_method(project_.method);
     std::vector<Shoot*> shoots{&shoots_[lead]};
     for (std::size_t i = 0; i < shoots_.size(); ++i)
@@ -337,8 +339,11 @@ class Pipeline {
     Hasher h = keyed("gather");
     h.add(options.seed).add(options.proxy_surfels).add(options.max_proxy_surfels).add(static_cast<std::uint64_t>(options.rays));
     for (const std::string& key : keys_in_lights(lead)) h.add(key);
+    h.add(std::uint64_t{input.try_floor});
+    if (input.floor_plane)
+      for (const double v : *input.floor_plane) h.add(v);
     shoot.transport_key = h.hex();
-    task("gather/" + a.name, shoot.transport_key, {folder / "proxy.bin", folder / "transport.bin"}, [&] {
+    task("gather/" + a.name, shoot.transport_key, {folder / "proxy.bin", folder / "transport.bin", folder / "floor.bin"}, [&] {
       optimize::gather_scene(store, input, options, folder, budget_, report_);
       return Json::object();
     });
@@ -382,7 +387,7 @@ class Pipeline {
         covariance.push_back(row);
       }
       lights.push_back({{"flash_intensity", s.lights.flash_intensity}, {"sky", s.lights.sky}, {"sky_colour", s.lights.sky_colour}, {"bounce", s.lights.bounce},
-                        {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"covariance", covariance}, {"scatter", s.scatter},
+                        {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"floor", s.lights.floor}, {"floor_albedo", s.lights.floor_albedo}, {"covariance", covariance}, {"scatter", s.scatter},
                         {"groups", s.groups}, {"samples", s.samples}, {"iterations", s.iterations}, {"converged", s.converged}, {"scale_known", s.scale_known}});
     }
     Json evidence = Json::array();
@@ -400,6 +405,8 @@ class Pipeline {
       s.lights.sky_colour = l["sky_colour"];
       s.sky_terms = l["sky_terms"];
       s.sky_colour = l["sky_coloured"];
+      s.lights.floor = l["floor"];
+      s.lights.floor_albedo = l["floor_albedo"];
       s.lights.bounce = l["bounce"];
       const auto n = static_cast<Eigen::Index>(l["covariance"].size());
       s.covariance.resize(n, n);
@@ -443,7 +450,7 @@ class Pipeline {
         if (!scene) scene = std::make_unique<optimize::Scene>(optimize::load_scene(store, folder));
         const Vec3d flash = photo.camera.pose.world_from_camera(a.flash->offset_in_camera);
         const optimize::AlbedoStats s = optimize::solve_albedo(*scene, observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
-                                                               optimize::gathered_path(folder, k), options, raster, report_);
+                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k)}, options, raster, report_);
         optimize::write_albedo_pictures(raster, pictures);
         return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
       });
@@ -492,6 +499,7 @@ class Pipeline {
       std::vector<std::string> names{"ln_flash_intensity"};
       for (int k = 0; k < sky; ++k) names.push_back("sky_" + std::to_string(k));
       if (s.sky_colour) names.insert(names.end(), {"ln_sky_red", "ln_sky_blue"});
+      if (s.lights.floor) names.push_back("floor_albedo");
       names.push_back("bounce");
       Json covariance = Json::array();
       for (Eigen::Index i = 0; i < s.covariance.rows(); ++i) {
@@ -499,7 +507,7 @@ class Pipeline {
         for (Eigen::Index j = 0; j < s.covariance.cols(); ++j) row.push_back(s.covariance(i, j));
         covariance.push_back(row);
       }
-      return Json{{"flash_intensity", s.lights.flash_intensity}, {"flash_intensity_sd", ln_sd * s.lights.flash_intensity},
+      Json found{{"flash_intensity", s.lights.flash_intensity}, {"flash_intensity_sd", ln_sd * s.lights.flash_intensity},
                   {"ambient", s.lights.sky[0]}, {"ambient_sd", ambient_sd}, {"sky", s.lights.sky},
                   {"sky_colour", s.lights.sky_colour}, {"sky_basis", "1, y, z, x, xy, yz, 3z^2-1, xz, x^2-y^2 of the world direction"}, {"bounce", s.lights.bounce},
                   {"covariance_of", names}, {"covariance", covariance},
@@ -507,6 +515,8 @@ class Pipeline {
                                {"ambient", {std::max(0.0, s.lights.sky[0] - 2 * ambient_sd), s.lights.sky[0] + 2 * ambient_sd}}}},
                   {"absolute_scale", s.scale_known ? "calibrated" : "from interreflections and a guess of the brightest albedo: trust ratios, not the scale"},
                   {"scatter_of_ln_albedo", s.scatter}, {"samples", s.samples}, {"converged", s.converged}};
+      if (s.lights.floor) found["floor_albedo"] = s.lights.floor_albedo;
+      return found;
     };
     a["sky_model"] = lights.sky_model;
     for (const optimize::SkyEvidence& e : lights.sky_evidence) a["sky_evidence"].push_back({{"model", e.model}, {"parameters", e.parameters}, {"criterion", e.criterion}});

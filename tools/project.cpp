@@ -120,6 +120,10 @@ const Words<AmbientModel>& words_of(AmbientModel) {
                                      {"sh1", AmbientModel::kSh1}, {"sh2", AmbientModel::kSh2}};
   return w;
 }
+const Words<FloorModel>& words_of(FloorModel) {
+  static const Words<FloorModel> w{{"auto", FloorModel::kAuto}, {"none", FloorModel::kNone}};
+  return w;
+}
 const Words<SolveMethod>& words_of(SolveMethod) {
   static const Words<SolveMethod> w{{"joint", SolveMethod::kJoint}, {"single", SolveMethod::kSingle}, {"adam", SolveMethod::kAdam},
                                     {"direct", SolveMethod::kDirect}, {"none", SolveMethod::kNone}};
@@ -381,6 +385,13 @@ void resolve_encoding(const toml::source_region& region, Acquisition& acquisitio
                           photograph.file.filename().string(), " are of different kinds; say encoding = \"linear\", \"srgb\" or \"raw\""));
 }
 
+void read_floor_plane(const toml::node& node, Acquisition& acquisition) {
+  const auto values = as_numbers(node, "acquisition.ambient.floor", 4);
+  acquisition.floor_plane.emplace();
+  std::copy_n(values.begin(), 4, acquisition.floor_plane->begin());
+  if (!(std::hypot(values[0], values[1], values[2]) > 0)) fail(node, "acquisition.ambient.floor: expected [nx, ny, nz, h] with an upward direction that is not 0");
+}
+
 Acquisition read_acquisition(const toml::table& table, std::size_t number, const fs::path& folder, std::vector<std::string>& notes) {
   const Section section(table, "acquisition", {"name", "role", "photographs", "encoding", "masks", "cameras", "noise", "flash", "ambient", "reference", "exposure_s", "lights_of"});
   Acquisition acquisition;
@@ -408,8 +419,10 @@ Acquisition read_acquisition(const toml::table& table, std::size_t number, const
   if (const toml::node* noise = section.find("noise")) read_noise(*noise, "acquisition.noise", acquisition.noise);
   if (const toml::node* flash = section.find("flash")) read_flash(*flash, "acquisition.flash", acquisition.flash);
   if (const toml::node* ambient = section.find("ambient")) {
-    const Section light(as_table(*ambient, "acquisition.ambient"), "acquisition.ambient", {"model"});
+    const Section light(as_table(*ambient, "acquisition.ambient"), "acquisition.ambient", {"model", "floor"});
     light.choice("model", acquisition.ambient);
+    if (const toml::node* floor = light.find("floor"); floor && floor->is_array()) read_floor_plane(*floor, acquisition);
+    else light.choice("floor", acquisition.floor);
   }
   if (const toml::node* exposure = section.find("exposure_s")) {
     acquisition.exposure_s = as_number(*exposure, "acquisition.exposure_s");
@@ -639,6 +652,7 @@ const char* name_of(Outliers value) { return word_of(value); }
 const char* name_of(Alignment value) { return word_of(value); }
 const char* name_of(Encoding value) { return word_of(value); }
 const char* name_of(AmbientModel value) { return word_of(value); }
+const char* name_of(FloorModel value) { return word_of(value); }
 const char* name_of(SolveMethod value) { return word_of(value); }
 const char* name_of(AcquisitionRole value) { return word_of(value); }
 
@@ -686,7 +700,8 @@ Json json_of(const Acquisition& acquisition) {
     out["flash"] = Json{{"offset_in_camera", {offset.x(), offset.y(), offset.z()}}, {"intensity_range", nullptr}};
     if (acquisition.flash->intensity_range) out["flash"]["intensity_range"] = *acquisition.flash->intensity_range;
   }
-  out["ambient"] = {{"model", name_of(acquisition.ambient)}};
+  out["ambient"] = Json{{"model", name_of(acquisition.ambient)}, {"floor", name_of(acquisition.floor)}};
+  if (acquisition.floor_plane) out["ambient"]["floor"] = *acquisition.floor_plane;
   if (acquisition.exposure_s) out["exposure_s"] = *acquisition.exposure_s;
   out["reference"] = Json::array();
   for (const ReferenceInput& reference : acquisition.references) {

@@ -18,6 +18,8 @@ enum class Alignment { kNone, kIcp };
 /// kAuto: EXR and TIFF are linear, JPEG and PNG are sRGB, camera raw files are raw. Resolved per acquisition when the project is loaded.
 enum class Encoding { kAuto, kLinear, kSrgb, kRaw };
 enum class AmbientModel { kAuto, kNone, kUniform, kSh1, kSh2 };
+/// kAuto: a floor outside the cloud is looked for, and taken where the photographs speak for it.
+enum class FloorModel { kAuto, kNone };
 enum class SolveMethod { kJoint, kSingle, kAdam, kDirect, kNone };
 /// What an acquisition is for: the photographs themselves, or the same views without the flash, which measure the ambient light.
 enum class AcquisitionRole { kFlash, kNoFlash };
@@ -28,6 +30,7 @@ const char* name_of(Outliers value);
 const char* name_of(Alignment value);
 const char* name_of(Encoding value);
 const char* name_of(AmbientModel value);
+const char* name_of(FloorModel value);
 const char* name_of(SolveMethod value);
 const char* name_of(AcquisitionRole value);
 
@@ -73,6 +76,8 @@ struct Acquisition {
   std::optional<FlashInput> flash;           ///< absent: no flash
   std::vector<ReferenceInput> references;
   AmbientModel ambient = AmbientModel::kAuto;
+  FloorModel floor = FloorModel::kAuto;
+  std::optional<std::array<double, 4>> floor_plane;   ///< n x, n y, n z, h: n . p = h in the cloud's frame, n pointing up, not 0
   std::optional<double> exposure_s;          ///< shutter time, > 0: the ambient light counts in proportion to it, the flash does not
   std::optional<std::size_t> lights_of;      ///< number of the acquisition whose lights (flash, ambient) these are too; always there for kNoFlash
 };

@@ -10,36 +10,13 @@
 #include "stream/base/file.h"
 #include "stream/base/parallel.h"
 #include "stream/base/rng.h"
-#include "tests/support/sampled_surface.h"
+#include "tests/optimize/lit.h"
 
 namespace chiaro::optimize {
 namespace {
 
+using tests::Lit;
 using tests::SampledPoint;
-
-/// A proxy of all leaves of a test store, with its transport.
-struct Lit {
-  Lit(const std::vector<SampledPoint>& points, int rays, int smooth_passes = 0) : store(tests::build_test_store(points, folder.path())) {
-    surfels::WorkingSet cut;
-    cut.chunks = store.leaves();
-    std::sort(cut.chunks.begin(), cut.chunks.end());
-    proxy = load_proxy(store, cut);
-    nearest = std::make_unique<NearestPoints>(proxy.position);
-    smoother = make_smoother(proxy, *nearest);
-    tracer = std::make_unique<surfels::Tracer>(proxy.origin_in_world, budget);
-    for (const std::uint32_t c : proxy.chunks) tracer->add(store.read_chunk(c));
-    tracer->commit();
-    transport = gather(proxy, *tracer, smoother, {rays, 1, smooth_passes}, silent_reporter());
-  }
-  ScratchFolder folder;
-  MemoryBudget budget{512u << 20};
-  stream::Store store;
-  Proxy proxy;
-  std::unique_ptr<NearestPoints> nearest;
-  Smoother smoother;
-  std::unique_ptr<surfels::Tracer> tracer;
-  Transport transport;
-};
 
 TEST(Gather, AConvexBodySeesTheWholeSky) {
   const Lit s(tests::sphere_points(20000, 1.0, {0, 0, 0}, false), 32);

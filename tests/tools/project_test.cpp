@@ -140,6 +140,8 @@ TEST_F(ProjectTest, ReadsEveryKey) {
   EXPECT_EQ(day.references[0].albedo[2], 1);
   EXPECT_EQ(day.references[0].sigma, 0.02);
   EXPECT_EQ(day.ambient, AmbientModel::kSh1);
+  EXPECT_EQ(day.floor, FloorModel::kAuto);
+  EXPECT_EQ(load(changed("model = \"sh1\"", "floor = [0, 0, 2, -1]")).acquisitions[0].floor_plane, (std::array<double, 4>{0, 0, 2, -1}));
   const Acquisition& night = p.acquisitions[1];
   EXPECT_EQ(night.role, AcquisitionRole::kNoFlash);
   EXPECT_EQ(night.encoding, Encoding::kLinear) << "by the extension";
@@ -211,6 +213,9 @@ TEST_F(ProjectTest, RefusesWrongKindsAndValues) {
   expect("[0.80, 0.76, 1]", "[0.80, 0.76, 1.01]", "outside (0, 1]");
   expect("[0.80, 0.76, 1]", "[0.80, 0, 1]", "outside (0, 1]");
   expect("sigma      = 0.02", "sigma = 0", "positive");
+  expect("model = \"sh1\"", "floor = [0, 0, 0, 1]", "acquisition.ambient.floor: expected [nx, ny, nz, h] with an upward direction that is not 0");
+  expect("model = \"sh1\"", "floor = [0, 0, 1]", "expected 4 numbers, found 3");
+  expect("model = \"sh1\"", "floor = \"yes\"", "acquisition.ambient.floor: unknown value \"yes\"");
   expect("name        = \"night\"", "name = \"day1\"", "two acquisitions are called");
   expect("\"512 MiB\"", "\"-1 GiB\"", "run.memory");
   expect("\"512 MiB\"", "-5", "run.memory: -5 is outside");
