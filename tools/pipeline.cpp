@@ -24,6 +24,7 @@
 #include "surfels/gbuffer.h"
 #include "tools/export_points.h"
 #include "tools/ingest.h"
+#include "tools/light_spread.h"
 #include "tools/run_folder.h"
 #include "tools/task_log.h"
 
@@ -515,6 +516,7 @@ class Pipeline {
                                {"ambient", {std::max(0.0, s.lights.sky[0] - 2 * ambient_sd), s.lights.sky[0] + 2 * ambient_sd}}}},
                   {"absolute_scale", s.scale_known ? "calibrated" : "from interreflections and a guess of the brightest albedo: trust ratios, not the scale"},
                   {"scatter_of_ln_albedo", s.scatter}, {"samples", s.samples}, {"converged", s.converged}};
+      found["open_direction"] = to_json(light_spread(s));
       if (s.lights.floor) found["floor_albedo"] = s.lights.floor_albedo;
       return found;
     };

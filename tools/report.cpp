@@ -5,6 +5,7 @@
 #include <numeric>
 #include <set>
 
+#include "tools/light_spread.h"
 #include "tools/report_data.h"
 #include "tools/table.h"
 
@@ -42,6 +43,20 @@ std::string scale_sentence(const Json& light, const Json& acquisition, const std
                 " W/sr: a flash that was really brighter makes every albedo darker by the same factor.");
 }
 
+std::string percent_change(double change) { return concat(change < 0 ? "\u2212" : "+", format_number(100 * std::abs(change), 2), "\u00a0%"); }
+
+std::string open_direction_sentence(const Json& open) {
+  const auto at = [&](const char* name, std::size_t end) { return pair_value(member(open, name), end); };
+  if (!std::isfinite(at("flash_intensity", 0)) || !(at("flash_intensity", 0) < at("flash_intensity", 1))) return "";
+  const auto ends = [&](const char* name) { return concat(format_number(at(name, 0), 4), " … ", format_number(at(name, 1), 4)); };
+  std::string sentence = concat("Least certain, two standard deviations either way: flash ", ends("flash_intensity"), " W/sr");
+  if (at("ambient", 1) > 0) sentence += concat(" with ambient radiance ", ends("ambient"));
+  sentence += concat(". Along it the albedo of what the flash lights changes by ", percent_change(at("albedo_change_in_flash_light", 0)), " … ", percent_change(at("albedo_change_in_flash_light", 1)));
+  if (at("ambient", 1) > 0)
+    sentence += concat(", of what only the ambient light reaches by ", percent_change(at("albedo_change_in_ambient_light", 0)), " … ", percent_change(at("albedo_change_in_ambient_light", 1)));
+  return sentence + ".";
+}
+
 ReportedLight read_light(const Json& light, const Json& acquisition, const std::string& method) {
   ReportedLight out;
   out.acquisition = text_of(member(acquisition, "acquisition"));
@@ -59,6 +74,8 @@ ReportedLight read_light(const Json& light, const Json& acquisition, const std::
   const Json& range = member(acquisition, "calibrated_range");
   out.calibrated_min = pair_value(range, 0);
   out.calibrated_max = pair_value(range, 1);
+  out.open_direction = open_direction_sentence(member(light, "open_direction"));
+  if (!out.open_direction.empty()) out.picture = light_spread_svg(light, range);
   return out;
 }
 

@@ -28,6 +28,8 @@ struct ReportedLight {
   double flash = 0, flash_sd = 0, ambient = 0, ambient_sd = 0, bounce = 1;   ///< NaN where there is none
   double allowed_min = 0, allowed_max = 0;       ///< flash intensities that the photographs allow
   double calibrated_min = 0, calibrated_max = 0; ///< range of the project file; NaN = none
+  std::string open_direction;           ///< a sentence: what remains open, and what the albedo does along it; empty where nothing was solved
+  std::string picture;                  ///< SVG of the same; may be empty
 };
 
 struct ReportData {

@@ -180,6 +180,14 @@ void lights(Page& page, const ReportData& d) {
     rows.push_back({l.acquisition, l.photograph.empty() ? "all" : l.photograph, with_sd(l.flash, l.flash_sd), interval(l.allowed_min, l.allowed_max), interval(l.calibrated_min, l.calibrated_max),
                     with_sd(l.ambient, l.ambient_sd), number(l.bounce), l.how});
   table(page, {"acquisition", "photograph", "flash, W/sr", "allowed", "calibrated", "ambient radiance", "bounce factor", "how it was found"}, "wwnnnnnl", rows);
+  // One picture is worth a look; of fifty single photographs the table is.
+  constexpr std::size_t kMostPictures = 6;
+  for (std::size_t i = 0; i < std::min(d.found.size(), kMostPictures); ++i) {
+    const ReportedLight& l = d.found[i];
+    if (l.open_direction.empty()) continue;
+    page.element("p", concat(d.found.size() > 1 ? concat(l.photograph.empty() ? l.acquisition : l.photograph, ". ") : std::string(), l.open_direction));
+    if (!l.picture.empty()) page.open("p").raw(l.picture).close("p");
+  }
 }
 
 void left_out(Page& page, const ReportData& d) {
