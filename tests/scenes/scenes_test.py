@@ -20,8 +20,6 @@ import solids           # noqa: E402
 from check_scene import Glossy  # noqa: E402
 from scene import Scene, View   # noqa: E402
 
-mi.set_variant("llvm_ad_rgb")   # check_scene has chosen another
-
 
 class Meshes(unittest.TestCase):
     def setUp(self):
