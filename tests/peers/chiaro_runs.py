@@ -18,6 +18,7 @@ class Outcome:
     z_rms: float = np.nan                       # of ln(albedo / truth) over sigma
     z_robust: float = np.nan                    # 1.48 median |z|
     within_two: float = np.nan                  # share of |z| < 2
+    z_own: float = np.nan                       # 1.48 median of |ln error - its median| over sigma without the flash's sd, which all points share
     core_seconds: float = np.nan
     peak_mib: float = np.nan
     note: str = ""
@@ -79,10 +80,14 @@ def run(chiaro, project, out, method, log, options=()):
     seen = np.isfinite(albedo).all(axis=1)
     result.points = int(seen.sum())
     result.error, result.scaled = albedo_errors(albedo, truth)
-    z = np.log(np.maximum(albedo[seen].mean(1), 1e-4) / truth[seen].mean(1)) / points["sigma"][seen]
+    result.lights = light_errors(json.loads((Path(out) / "lights.json").read_text()), json.loads((scene / "truth/lights.json").read_text()))
+    sigma = points["sigma"][seen].astype(np.float64)
+    off = np.log(np.maximum(albedo[seen].mean(1), 1e-4) / truth[seen].mean(1))
+    own = np.sqrt(np.maximum(sigma ** 2 - np.median([r[1] for r in result.lights]) ** 2, 1e-6))
+    result.z_own = float(1.4826 * np.median(np.abs(off - np.median(off)) / own))
+    z = off / sigma
     z = z[np.isfinite(z)]
     result.z_rms, result.z_robust, result.within_two = float(np.sqrt(np.mean(z ** 2))), float(1.4826 * np.median(np.abs(z))), float(np.mean(np.abs(z) < 2))
-    result.lights = light_errors(json.loads((Path(out) / "lights.json").read_text()), json.loads((scene / "truth/lights.json").read_text()))
     return result
 
 
@@ -96,13 +101,13 @@ def light_text(rows, column):
     return "rms %.1f (%.1f)" % (100 * np.sqrt(np.mean(errors ** 2)), 100 * np.median(sds))
 
 
-HEADER = """| project | method | points | albedo error, mean / median, % | after one factor, % | ln Lp error (sd), % | ln La error (sd), % | z of sigma: rms, robust, within 2 | core-s | peak MiB |
+HEADER = """| project | method | points | albedo error, mean / median, % | after one factor, % | ln Lp error (sd), % | ln La error (sd), % | z of sigma: rms, robust, within 2; own part | core-s | peak MiB |
 | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |"""
 
 
 def row(name, method, r):
     if r.note:
         return "| %s | %s | %s | | | | | | %.0f | %.0f |" % (name, method, r.note, r.core_seconds, r.peak_mib)
-    sigma = "–" if method in ("direct", "adam") else "%.2f, %.2f, %.0f %%" % (r.z_rms, r.z_robust, 100 * r.within_two)
+    sigma = "–" if method in ("direct", "adam") else "%.2f, %.2f, %.0f %%; %.2f" % (r.z_rms, r.z_robust, 100 * r.within_two, r.z_own)
     lights = ("–", "–") if method == "direct" else (light_text(r.lights, 0), light_text(r.lights, 2))
     return "| %s | %s | %d | %.2f / %.2f | %.2f / %.2f | %s | %s | %s | %.0f | %.0f |" % (name, method, r.points, *r.error, *r.scaled, *lights, sigma, r.core_seconds, r.peak_mib)

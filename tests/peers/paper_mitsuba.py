@@ -13,7 +13,7 @@ published  one-dimensional search of the flash, 5 values spread geometrically ov
            paper gives none.
 tuned      no search: from the middle of the interval, 160 iterations (as many) with a rate that falls from 0.05 to 0.0005.
 
-Errors are over the same points for every method: those of the reduced cloud that the photograph sees.
+Errors are over the same points for every method: those of the reduced cloud that the photograph sees and that each method gives a value.
 """
 import argparse
 import json
@@ -208,10 +208,31 @@ def work(folder, name, factor, method, spp, out):
 
 
 def line(title, albedo, truth, lights, true_lights, core, peak):
-    lost = np.sum(~np.isfinite(albedo).all(axis=1))
     error, scaled = chiaro_runs.albedo_errors(albedo, truth)
     shown = ["%+.1f" % (100 * np.log(l / t)) if l > 0 else "none" for l, t in zip(lights, true_lights)]
-    return "| %s | %d | %.1f / %.1f | %.1f / %.1f | %s | %s | %.1f | %.0f |" % (title, len(truth) - lost, *error, *scaled, *shown, core, peak)
+    return "| %s | %.1f / %.1f | %.1f / %.1f | %s | %s | %.1f | %.0f |" % (title, *error, *scaled, *shown, core, peak)
+
+
+def by_mitsuba(options, folder, name, base, method):
+    """(albedo at all points, (flash, ambient), core-seconds, peak MiB, what else it says)."""
+    found = base / (method + ".npz")
+    log = base / "log.txt"
+    code, core, peak = chiaro_runs.timed([sys.executable, __file__, "--work", method, str(folder), name, str(options.factor), str(options.spp), str(found)], log)
+    if code:
+        sys.exit("error: %s on %s ended with %d, see %s" % (method, name, code, log))
+    r = np.load(found)
+    return r["albedo"], (float(r["flash"]), float(r["ambient"])), core, peak, json.loads(str(r["extra"]))
+
+
+def by_chiaro(options, folder, base, method, true_lights):
+    out = base / ("chiaro." + method)
+    shutil.rmtree(out, ignore_errors=True)
+    outcome = chiaro_runs.run(options.chiaro, folder / "project.toml", out, method, base / "log.txt")
+    if outcome.note:
+        sys.exit("error: chiaro, %s: %s, see %s" % (method, outcome.note, base / "log.txt"))
+    ply = chiaro_runs.read_ply(out / "albedo.ply")
+    lights = np.exp(outcome.lights[0][0]) * true_lights[0], np.exp(outcome.lights[0][2]) * true_lights[1]
+    return np.stack([ply["albedo_" + c] for c in "rgb"], 1).astype(np.float64), lights, outcome.core_seconds, outcome.peak_mib, {}
 
 
 def compare(options, source):
@@ -219,44 +240,30 @@ def compare(options, source):
     taken = [PHOTOGRAPH] if name == "vplanes" else sorted(p.stem for p in (source / "photos").glob("*.exr"))
     base = options.out / name
     base.mkdir(parents=True, exist_ok=True)
-    one, all_ = base / "one", base / "all"
+    one = base / "one"
     reduced.reduce(source, one, options.factor, options.points, [PHOTOGRAPH])
-    peer = Peer(one, name, options.factor)
-    cloud = chiaro_runs.read_ply(one / "cloud.ply")
-    points = np.stack([cloud["x"], cloud["y"], cloud["z"]], 1).astype(np.float64)
-    seen, _, _ = peer.visible(points)
-    truth = np.load(one / "truth/albedo.npy").astype(np.float64)[seen]
     record = json.loads((one / "truth/lights.json").read_text())
     true_lights = record["flash_intensity_w_per_sr"], record["ambient_radiance"]
-    print("\n%s: %s at %d x %d, %d points of which the photograph sees %d, %d vertices" % (name, PHOTOGRAPH, *peer.size, len(points), seen.sum(), len(peer.mesh.vertices)))
-    print("| method | points | albedo error, mean / median, % | after one factor, % | ln Lp error, % | ln La error, % | core-s | peak MiB |\n| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |", flush=True)
-    log = base / "log.txt"
-    for method in ("published", "tuned"):
-        found = base / (method + ".npz")
-        code, core, peak = chiaro_runs.timed([sys.executable, __file__, "--work", method, str(one), name, str(options.factor), str(options.spp), str(found)], log)
-        if code:
-            sys.exit("error: %s on %s ended with %d, see %s" % (method, name, code, log))
-        r = np.load(found)
-        print(line("paper through Mitsuba, " + method, r["albedo"][seen], truth, (float(r["flash"]), float(r["ambient"])), true_lights, core, peak), flush=True)
-        extra = json.loads(str(r["extra"]))
-        if "search_losses" in extra:
-            note = "loss at the end of each search step, low to high flash: " + " ".join("%.3g" % v for v in extra["search_losses"])
-    rows = [(one, m, "chiaro " + m) for m in ("adam", "single", "direct")]
+    results = {"paper through Mitsuba, " + m: by_mitsuba(options, one, name, base, m) for m in ("published", "tuned")}
+    results.update({"chiaro " + m: by_chiaro(options, one, base, m, true_lights) for m in ("adam", "single", "direct")})
     if len(taken) > 1:
-        reduced.reduce(source, all_, options.factor, options.points, taken)
-        rows.append((all_, "joint", "chiaro joint, %d photographs" % len(taken)))
-    for folder, method, title in rows:
-        out = base / ("chiaro." + method)
-        shutil.rmtree(out, ignore_errors=True)
-        outcome = chiaro_runs.run(options.chiaro, folder / "project.toml", out, method, log)
-        if outcome.note:
-            print("| %s | %s |" % (title, outcome.note))
-            continue
-        ply = chiaro_runs.read_ply(out / "albedo.ply")
-        albedo = np.stack([ply["albedo_" + c] for c in "rgb"], 1).astype(np.float64)[seen]
-        lights = np.exp(outcome.lights[0][0]) * true_lights[0], np.exp(outcome.lights[0][2]) * true_lights[1]
-        print(line(title, albedo, truth, lights, true_lights, outcome.core_seconds, outcome.peak_mib), flush=True)
-    print("published: " + note, flush=True)
+        reduced.reduce(source, base / "all", options.factor, options.points, taken)
+        results["chiaro joint, %d photographs" % len(taken)] = by_chiaro(options, base / "all", base, "joint", true_lights)
+
+    peer = Peer(one, name, options.factor)
+    cloud = chiaro_runs.read_ply(one / "cloud.ply")
+    seen, _, _ = peer.visible(np.stack([cloud["x"], cloud["y"], cloud["z"]], 1).astype(np.float64))
+    common = seen.copy()
+    for albedo, *_ in results.values():
+        common &= np.isfinite(albedo).all(axis=1)
+    truth = np.load(one / "truth/albedo.npy").astype(np.float64)[common]
+    print("\n%s: %s at %d x %d, %d vertices, %d paths a pixel; errors over the %d points that all methods value, of %d that the photograph sees" %
+          (name, PHOTOGRAPH, *peer.size, len(peer.mesh.vertices), options.spp, common.sum(), seen.sum()))
+    print("| method | albedo error, mean / median, % | after one factor, % | ln Lp error, % | ln La error, % | core-s | peak MiB |\n| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
+    for title, (albedo, lights, core, peak, _) in results.items():
+        print(line(title, albedo[common], truth, lights, true_lights, core, peak))
+    losses = results["paper through Mitsuba, published"][4]["search_losses"]
+    print("published: loss at the end of each search step, from low to high flash: " + " ".join("%.3g" % v for v in losses), flush=True)
 
 
 def main():
