@@ -111,9 +111,9 @@ def ambient_emitter(radiance):
     return {"type": "constant", "radiance": {"type": "rgb", "value": [float(radiance)] * 3}}
 
 
-def radiance(shapes, emitter, camera, segments, seed, spp, launch=32):
+def radiance(shapes, emitter, camera, segments, seed, spp, roulette=5, launch=32):
     """Mean radiance (H, W, 3). Seeds differ per launch; a launch stays small enough for the memory of a small machine."""
-    scene = mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": segments, "rr_depth": 5, "hide_emitters": True},
+    scene = mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": segments, "rr_depth": roulette, "hide_emitters": True},
                           "sensor": camera, "emitter": emitter, **shapes}, optimize=False)
     total = 0.0
     rounds = max(1, int(np.ceil(spp / launch)))
@@ -127,8 +127,8 @@ def parts(scene, shapes, view, seed):
     flash = flash_emitter(view.flash_in_world(), scene.flash)
     camera = sensor(scene, view, scene.spp)
     direct = radiance(shapes, flash, camera, 2, seed * 10 + 1, min(scene.spp, 64))
-    whole = radiance(shapes, flash, camera, scene.segments, seed * 10 + 2, scene.spp)
-    ambient = radiance(shapes, ambient_emitter(scene.ambient), camera, scene.segments, seed * 10 + 3, scene.spp) if scene.ambient > 0 else 0 * direct
+    whole = radiance(shapes, flash, camera, scene.segments, seed * 10 + 2, scene.spp, scene.roulette)
+    ambient = radiance(shapes, ambient_emitter(scene.ambient), camera, scene.segments, seed * 10 + 3, scene.spp, scene.roulette) if scene.ambient > 0 else 0 * direct
     return direct, whole, ambient
 
 

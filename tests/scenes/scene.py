@@ -59,6 +59,7 @@ class Scene:
     interval: tuple = (0.87, 1.13)      # calibrated flash interval as multiples of the truth
     spp: int = 128
     segments: int = 12                  # of light paths: one more than scatterings
+    roulette: int = 5                   # scatterings after which paths may end at random, without bias
     seed: int = 1
     materials: list = field(default_factory=lambda: [Material()])
     material_of: Callable = None        # (p) -> index into materials, (N,)

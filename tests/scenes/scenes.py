@@ -165,8 +165,8 @@ def crypt():
              View("photo_06", (-0.3, 0.85, 1.3), (1.1, -0.8, 0.6), 0),
              View("novel_00", (-0.4, -1.3, 1.2), (0.6, 0.9, 1.3), 0, (-0.3, -0.2, 0.1), True), View("novel_01", (0.25, 1.4, 1.1), (-0.5, -0.8, 1.2), 0, (0.3, -0.1, 0.0), True)]
     return Scene("crypt", _crypt_distance, (-1.45, -2.25, -0.12), (1.4, 2.25, 2.75), 0.01, _crypt_paint, views, flash=2.61, ambient=1.08,
-                 size=(288, 216), focal=200.0, principal=(142.3, 109.5), points=200_000, normals=False, scan_noise=0.0007, gain=6e-4, read_sigma=8e-4,
-                 interval=(0.84, 1.08), spp=192, segments=10, seed=22)
+                 size=(288, 216), focal=200.0, principal=(142.3, 109.5), points=200_000, normals=False, scan_noise=0.0007, gain=1e-3, read_sigma=8e-4,
+                 interval=(0.84, 1.08), spp=96, segments=10, roulette=3, seed=22)
 
 
 # --- specular: a glazed vase, a polished ball and a waxed box on a slab before a curved, rough wall -------------------------------------------------
