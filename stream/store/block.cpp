@@ -1,6 +1,7 @@
 #include "stream/store/block.h"
 
 #include <algorithm>
+#include <bit>
 
 namespace chiaro::stream {
 namespace {
@@ -37,6 +38,18 @@ std::array<std::int16_t, 2> encode_normal(const Vec3f& n) {
 Vec3f decode_normal(std::int16_t qu, std::int16_t qv) {
   const Vec3f n = octahedron(qu, qv);
   return n / n.norm();
+}
+
+void decode_normals(const SurfelBlock& block, float* x, float* y, float* z) {
+  for (std::size_t i = 0; i < kBlockSurfels; ++i) {
+    const int qu = block.normal_u[i] & ~15, qv = block.normal_v[i] & ~15;
+    const float u = static_cast<float>(qu < -32752 ? -32752 : qu) / kSnorm, v = static_cast<float>(qv < -32752 ? -32752 : qv) / kSnorm;
+    const float up = 1 - std::abs(u) - std::abs(v), folded = up < 0 ? -up : 0;   // see octahedron()
+    const float nx = u >= 0 ? u - folded : u + folded, ny = v >= 0 ? v - folded : v + folded, over = 1 / std::sqrt(nx * nx + ny * ny + up * up);
+    x[i] = nx * over;
+    y[i] = ny * over;
+    z[i] = up * over;
+  }
 }
 
 std::uint16_t encode_clip(std::int16_t normal_u, std::int16_t normal_v, const Vec3f& across, float distance, float radius) {
@@ -76,11 +89,13 @@ RadiusTable::RadiusTable(float radius_max) {
   for (std::size_t c = 0; c < radius_.size(); ++c) radius_[c] = decode_radius(static_cast<std::uint8_t>(c), radius_max);
 }
 
-// The first code that reaches the radius, by halving.
+// The first code that reaches the radius. The exponent and the next bits of a float are a logarithm that is wrong by 1.4 steps at most.
 std::uint8_t RadiusTable::encode(float radius) const {
   if (!(radius > 0)) return 0;
-  std::size_t c = 0;
-  for (std::size_t step = 128; step > 0; step /= 2) c += radius_[c + step - 1] < radius ? step : 0;
+  const auto sixteenths = [](float v) { return static_cast<int>(std::bit_cast<std::uint32_t>(v) >> 19); };
+  int c = std::clamp(255 + sixteenths(radius) - sixteenths(radius_[255]), 0, 255);
+  while (c > 0 && radius_[static_cast<std::size_t>(c - 1)] >= radius) --c;
+  while (c < 255 && radius_[static_cast<std::size_t>(c)] < radius) ++c;
   return static_cast<std::uint8_t>(c);
 }
 

@@ -44,6 +44,8 @@ struct Surfel {
 /// Octahedral encoding, 2 x 12 bits in the upper bits of 2 x 16, error below 0.06 degrees. source: Meyer et al. 2010 / Cigolle et al. 2014.
 std::array<std::int16_t, 2> encode_normal(const Vec3f& unit_normal);
 Vec3f decode_normal(std::int16_t u, std::int16_t v);
+/// All of a block: the same but for the last bit.
+void decode_normals(const SurfelBlock& block, float* x, float* y, float* z);
 /// Rounds up, so that coverage is kept. radius_max > 0.
 std::uint8_t encode_radius(float radius, float radius_max);
 inline float decode_radius(std::uint8_t code, float radius_max) { return radius_max * std::exp2((static_cast<float>(code) - 255.0f) / 16.0f); }
