@@ -6,20 +6,8 @@
 namespace chiaro::stream {
 namespace {
 
-// Signed normalised 12 bits in the upper ones of 16: 16 * (-2047 .. 2047), so that 0 and +-1 are exact.
-constexpr float kSnorm = 32752.0f;
 std::int16_t to_snorm(float v) { return static_cast<std::int16_t>(16 * std::lround(std::clamp(v, -1.0f, 1.0f) * 2047.0f)); }
 float sign_of(float v) { return v >= 0 ? 1.0f : -1.0f; }
-
-Vec3f octahedron(std::int16_t qu, std::int16_t qv) {
-  const float u = static_cast<float>(std::max(-32752, qu & ~15)) / kSnorm, v = static_cast<float>(std::max(-32752, qv & ~15)) / kSnorm;
-  Vec3f n(u, v, 1 - std::abs(u) - std::abs(v));
-  if (n.z() < 0) {
-    n.x() = (1 - std::abs(v)) * sign_of(u);
-    n.y() = (1 - std::abs(u)) * sign_of(v);
-  }
-  return n;
-}
 
 }  // namespace
 
@@ -35,16 +23,11 @@ std::array<std::int16_t, 2> encode_normal(const Vec3f& n) {
   return {to_snorm(u), to_snorm(v)};
 }
 
-Vec3f decode_normal(std::int16_t qu, std::int16_t qv) {
-  const Vec3f n = octahedron(qu, qv);
-  return n / n.norm();
-}
-
 void decode_normals(const SurfelBlock& block, float* x, float* y, float* z) {
   for (std::size_t i = 0; i < kBlockSurfels; ++i) {
     const int qu = block.normal_u[i] & ~15, qv = block.normal_v[i] & ~15;
-    const float u = static_cast<float>(qu < -32752 ? -32752 : qu) / kSnorm, v = static_cast<float>(qv < -32752 ? -32752 : qv) / kSnorm;
-    const float up = 1 - std::abs(u) - std::abs(v), folded = up < 0 ? -up : 0;   // see octahedron()
+    const float u = static_cast<float>(qu < -32752 ? -32752 : qu) * kOverSnorm, v = static_cast<float>(qv < -32752 ? -32752 : qv) * kOverSnorm;
+    const float up = 1 - std::abs(u) - std::abs(v), folded = up < 0 ? -up : 0;   // see decode_octahedron()
     const float nx = u >= 0 ? u - folded : u + folded, ny = v >= 0 ? v - folded : v + folded, over = 1 / std::sqrt(nx * nx + ny * ny + up * up);
     x[i] = nx * over;
     y[i] = ny * over;
@@ -53,7 +36,7 @@ void decode_normals(const SurfelBlock& block, float* x, float* y, float* z) {
 }
 
 std::uint16_t encode_clip(std::int16_t normal_u, std::int16_t normal_v, const Vec3f& across, float distance, float radius) {
-  const Vec3f n = octahedron(normal_u, normal_v), size = n.cwiseAbs();
+  const Vec3f n = decode_octahedron(normal_u, normal_v), size = n.cwiseAbs();
   const int dominant = size.z() >= size.x() && size.z() >= size.y() ? 2 : size.y() >= size.x() ? 1 : 0;
   const int a = (dominant + 1) % 3, b = (dominant + 2) % 3;
   // In the disc's plane the dominant coordinate follows from the two others.
@@ -70,10 +53,6 @@ void put_clip(SurfelBlock& block, std::size_t lane, std::uint16_t code) {
   block.normal_u[lane] = static_cast<std::int16_t>((block.normal_u[lane] & ~15) | (code >> 8 & 15));
   block.normal_v[lane] = static_cast<std::int16_t>((block.normal_v[lane] & ~15) | (code >> 4 & 15));
   block.flags[lane] = static_cast<std::uint8_t>((block.flags[lane] & SurfelBlock::kFlags) | (code & 15) << 4);
-}
-
-std::uint16_t clip_of(const SurfelBlock& block, std::size_t lane) {
-  return static_cast<std::uint16_t>((block.normal_u[lane] & 15) << 8 | (block.normal_v[lane] & 15) << 4 | block.flags[lane] >> 4);
 }
 
 std::uint8_t encode_radius(float radius, float radius_max) {
