@@ -50,47 +50,82 @@ Vec3d smallest_axis_of(const Mat3d& a, double root) {
 // With the plane's three degrees of freedom taken off.
 double variance_share(double number) { return (number + 1) / std::max(1.0, number - 2); }
 
-// N planes: what plane_of() does.
+// What eigenvalues_of() does for the smallest one, of all lanes side by side: a step waits for the one before. Each lane stops by itself, so that it does not
+// matter which are taken together.
 template <std::size_t N>
-CHIARO_INLINE void planes_of_some(const LaneMoments& sums, std::size_t first, LanePlanes& out) {
+CHIARO_INLINE void smallest_roots(const LanePlanes::Row& constant, const LanePlanes::Row& linear, LanePlanes::Row& roots) {
+  using Doubles = typename LaneTypes<N>::Doubles;
+  constexpr std::size_t kGroups = kLanes / N;
+  const Doubles zero{}, one = zero + 1.0;
+  Doubles c0[kGroups], c1[kGroups], root[kGroups] = {}, goes_on[kGroups];
+  for (std::size_t g = 0; g < kGroups; ++g) {
+    load(&constant[g * N], c0[g]);
+    load(&linear[g * N], c1[g]);
+    goes_on[g] = one;
+  }
+  for (int i = 0; i < kMostSteps; ++i) {
+    Doubles any = zero;
+    for (std::size_t g = 0; g < kGroups; ++g) {
+      const Doubles slope = c1[g] + root[g] * (3.0 * root[g] - 2.0);
+      Doubles step = (c0[g] - root[g] * (c1[g] + root[g] * (root[g] - 1.0))) / slope;
+      step = slope > zero + kFlat ? step : zero;
+      step *= goes_on[g];
+      root[g] += step;
+      goes_on[g] = step > kStepShare * root[g] ? one : zero;
+      any += goes_on[g];
+    }
+    double left[N], sum = 0;
+    store(any, left);
+    for (const double l : left) sum += l;
+    if (sum == 0) break;
+  }
+  for (std::size_t g = 0; g < kGroups; ++g) store(root[g], &roots[g * N]);
+}
+
+// N planes: what plane_of() does up to the eigenvalues.
+template <std::size_t N>
+CHIARO_INLINE void covariances_of_some(const LaneMoments& sums, std::size_t first, LanePlanes& out, LanePlanes::Row& constant, LanePlanes::Row& linear) {
   using Floats = typename LaneTypes<N>::Floats;
   using Doubles = typename LaneTypes<N>::Doubles;
-  using Mask = typename LaneTypes<N>::DoubleMask;
   Doubles m[kTerms];
   for (std::size_t t = 0; t < kTerms; ++t) {
     Floats f;
     load(&sums.sum[t][first], f);
     m[t] = __builtin_convertvector(f, Doubles);
   }
-  const Doubles zero{}, one = zero + 1.0, number = m[9] - 1.0, share = 1.0 / m[9];
+  const Doubles share = 1.0 / m[9];
   for (std::size_t t = 0; t < 9; ++t) m[t] *= share;
   Doubles c[6] = {m[3] - m[0] * m[0], m[4] - m[0] * m[1], m[5] - m[0] * m[2], m[6] - m[1] * m[1], m[7] - m[1] * m[2], m[8] - m[2] * m[2]};
   const Doubles scale = c[0] + c[3] + c[5], over = 1.0 / scale;
   for (Doubles& v : c) v *= over;
   const Doubles c1 = c[0] * c[3] - c[1] * c[1] + c[0] * c[5] - c[2] * c[2] + c[3] * c[5] - c[4] * c[4];
   const Doubles c0 = c[0] * (c[3] * c[5] - c[4] * c[4]) - c[1] * (c[1] * c[5] - c[4] * c[2]) + c[2] * (c[1] * c[4] - c[3] * c[2]);
-  Doubles root = zero;
-  for (int i = 0; i < kMostSteps; ++i) {
-    const Doubles slope = c1 + root * (3.0 * root - 2.0);
-    Doubles step = (c0 - root * (c1 + root * (root - 1.0))) / slope;
-    step = slope > zero + kFlat ? step : zero;
-    root += step;
-    const Mask going = step > kStepShare * root;
-    std::int64_t any = 0;
-    for (std::size_t k = 0; k < N; ++k) any |= going[k];
-    if (any == 0) break;
-  }
-  // Of two numbers with this sum and product, the smaller is at least kLine of the larger if product / sum^2 is at least kLine / (1 + kLine)^2.
-  const Doubles sum = 1.0 - root, product = c1 - root * sum, least = (kLine / ((1 + kLine) * (1 + kLine))) * sum * sum;
-  const Mask sure = (number >= zero + kEnoughForPlane) & (scale > zero) & (product >= least);
-  const Doubles freedom = number - 2.0, lowest = root > zero ? root : zero;
-  const Doubles variance_off = lowest * scale * (m[9] / (freedom > one ? freedom : one));
-  for (std::size_t k = 0; k < N; ++k) out.sure[first + k] = sure[k] != 0;
-  store(variance_off, &out.variance_off[first]);
-  store(root, &out.root[first]);
+  store(c0, &constant[first]);
+  store(c1, &linear[first]);
   store(scale, &out.scale[first]);
   for (std::size_t a = 0; a < 3; ++a) store(m[a], &out.mean[a][first]);
   for (std::size_t t = 0; t < 6; ++t) store(c[t], &out.covariance[t][first]);
+}
+
+// The rest of it.
+template <std::size_t N>
+CHIARO_INLINE void judge_some(const LaneMoments& sums, std::size_t first, const LanePlanes::Row& linear, LanePlanes& out) {
+  using Floats = typename LaneTypes<N>::Floats;
+  using Doubles = typename LaneTypes<N>::Doubles;
+  using Mask = typename LaneTypes<N>::DoubleMask;
+  Floats counted;
+  load(&sums.sum[9][first], counted);
+  Doubles root, scale, c1;
+  load(&out.root[first], root);
+  load(&out.scale[first], scale);
+  load(&linear[first], c1);
+  const Doubles zero{}, one = zero + 1.0, all = __builtin_convertvector(counted, Doubles), number = all - 1.0, freedom = number - 2.0, lowest = root > zero ? root : zero;
+  // Of two numbers with this sum and product, the smaller is at least kLine of the larger if product / sum^2 is at least kLine / (1 + kLine)^2.
+  const Doubles sum = 1.0 - root, product = c1 - root * sum, least = (kLine / ((1 + kLine) * (1 + kLine))) * sum * sum;
+  const Mask sure = (number >= zero + kEnoughForPlane) & (scale > zero) & (product >= least);
+  for (std::size_t k = 0; k < N; ++k) out.sure[first + k] = sure[k] != 0;
+  const Doubles variance_off = lowest * scale * (all / (freedom > one ? freedom : one));
+  store(variance_off, &out.variance_off[first]);
 }
 
 // N normals: what normal_of() does, but for their length.
@@ -132,7 +167,10 @@ CHIARO_INLINE void normals_of_some(const LanePlanes& planes, std::size_t first, 
 
 template <std::size_t N>
 CHIARO_INLINE void planes_body(const LaneMoments& sums, LanePlanes& out) {
-  for (std::size_t first = 0; first < kLanes; first += N) planes_of_some<N>(sums, first, out);
+  LanePlanes::Row constant, linear;
+  for (std::size_t first = 0; first < kLanes; first += N) covariances_of_some<N>(sums, first, out, constant, linear);
+  smallest_roots<N>(constant, linear, out.root);
+  for (std::size_t first = 0; first < kLanes; first += N) judge_some<N>(sums, first, linear, out);
 }
 template <std::size_t N>
 CHIARO_INLINE void normals_body(const LanePlanes& planes, LaneNormals& out) {
