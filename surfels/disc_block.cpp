@@ -40,7 +40,7 @@ struct RadiusTable {
 };
 const RadiusTable kRadii;
 
-using stream::kOverSnorm;
+constexpr float kOverSnorm = 1.0f / stream::kSnorm;
 
 CHIARO_CLONES std::uint32_t intersect_plain(const SurfelBlock& block, const float* radius2, const DiscScale& scale, const LocalRay& ray, float share, BlockHits& hits) {
   const float ox = ray.origin[0], oy = ray.origin[1], oz = ray.origin[2], dx = ray.direction[0], dy = ray.direction[1], dz = ray.direction[2];
@@ -144,9 +144,7 @@ bool is_beyond_clip(const SurfelBlock& block, std::size_t lane, const DiscScale&
   const float q[3] = {static_cast<float>(block.x[lane]), static_cast<float>(block.y[lane]), static_cast<float>(block.z[lane])};
   float e[3];
   for (int a = 0; a < 3; ++a) e[a] = t * ray.direction[a] - ((q[a] + 0.5f) * scale.step - ray.origin[a]);
-  const float nu = static_cast<float>(block.normal_u[lane] & ~15) * kOverSnorm, nv = static_cast<float>(block.normal_v[lane] & ~15) * kOverSnorm;
-  const float up = 1.0f - std::fabs(nu) - std::fabs(nv), fold = up < 0.0f ? -up : 0.0f;
-  const float n[3] = {std::fabs(nu + (nu >= 0.0f ? -fold : fold)), std::fabs(nv + (nv >= 0.0f ? -fold : fold)), std::fabs(up)};
+  const Vec3f n = stream::decode_octahedron(block.normal_u[lane], block.normal_v[lane]).cwiseAbs();   // what encode_clip() chooses the axes by
   const bool z = n[2] >= n[0] && n[2] >= n[1], y = n[1] >= n[0];
   const float a = z ? e[0] : y ? e[2] : e[1], b = z ? e[1] : y ? e[0] : e[2];
   const float turn = static_cast<float>(clip >> 5) * (4.0f / DiscClip::kDirections), quarter = turn >= 1.0f ? turn - 1.0f : turn + 3.0f;

@@ -26,7 +26,7 @@ std::array<std::int16_t, 2> encode_normal(const Vec3f& n) {
 void decode_normals(const SurfelBlock& block, float* x, float* y, float* z) {
   for (std::size_t i = 0; i < kBlockSurfels; ++i) {
     const int qu = block.normal_u[i] & ~15, qv = block.normal_v[i] & ~15;
-    const float u = static_cast<float>(qu < -32752 ? -32752 : qu) * kOverSnorm, v = static_cast<float>(qv < -32752 ? -32752 : qv) * kOverSnorm;
+    const float u = static_cast<float>(qu < -32752 ? -32752 : qu) / kSnorm, v = static_cast<float>(qv < -32752 ? -32752 : qv) / kSnorm;
     const float up = 1 - std::abs(u) - std::abs(v), folded = up < 0 ? -up : 0;   // see decode_octahedron()
     const float nx = u >= 0 ? u - folded : u + folded, ny = v >= 0 ? v - folded : v + folded, over = 1 / std::sqrt(nx * nx + ny * ny + up * up);
     x[i] = nx * over;

@@ -77,18 +77,18 @@ inline std::uint16_t clip_of(const SurfelBlock& block, std::size_t lane) {
 Surfel decode_surfel(const SurfelBlock& block, int lane, const ChunkFrame& frame);
 
 // Signed normalised 12 bits in the upper ones of 16: 16 * (-2047 .. 2047), so that 0 and +-1 are exact.
-inline constexpr float kOverSnorm = 1 / 32752.0f;
+inline constexpr float kSnorm = 32752.0f;
 
 /// The point of the octahedron, not yet on the sphere.
 inline Vec3f decode_octahedron(std::int16_t qu, std::int16_t qv) {
   const int iu = qu & ~15, iv = qv & ~15;
-  const float u = static_cast<float>(iu < -32752 ? -32752 : iu) * kOverSnorm, v = static_cast<float>(iv < -32752 ? -32752 : iv) * kOverSnorm;
+  const float u = static_cast<float>(iu < -32752 ? -32752 : iu) / kSnorm, v = static_cast<float>(iv < -32752 ? -32752 : iv) / kSnorm;
   const float au = std::abs(u), av = std::abs(v), z = 1 - au - av;
   return {z < 0 ? std::copysign(1 - av, u) : u, z < 0 ? std::copysign(1 - au, v) : v, z};
 }
 inline Vec3f decode_normal(std::int16_t u, std::int16_t v) {
   const Vec3f n = decode_octahedron(u, v);
-  return n * (1 / n.norm());
+  return n / n.norm();
 }
 
 }  // namespace chiaro::stream
