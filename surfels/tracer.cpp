@@ -10,25 +10,19 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <map>
 #include <mutex>
 #include <string>
 
 #include "stream/base/error.h"
-
-// One code path a machine may choose from at run time. The bits are the same: plain IEEE operations, no contraction, no reductions.
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-#define CHIARO_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define CHIARO_CLONES
-#endif
+#include "surfels/disc_block.h"
 
 namespace chiaro::surfels {
 namespace {
 
 using stream::Chunk;
-using stream::DiscClip;
 using stream::SurfelBlock;
 
 /// Discs that a ray meets at most this far behind the first one, in radii of the first one measured along its normal, are blended with it.
@@ -38,76 +32,14 @@ constexpr float kSlabMinCosine = 0.25f;
 /// Shadow rays use a slightly smaller disc: radii are stored with a margin of a tenth, so coverage stays whole and edges overhang less.
 constexpr float kShadowRho2 = 0.83f;
 constexpr int kMaxCandidates = 64;
-constexpr float kClippedAway = 1e30f;
-
-const std::array<float, 256>& radius2_table() {
-  static const std::array<float, 256> table = [] {
-    std::array<float, 256> t{};
-    for (int i = 0; i < 256; ++i) {
-      const float r = stream::decode_radius(static_cast<std::uint8_t>(i), 1.0f);
-      t[static_cast<std::size_t>(i)] = r * r;
-    }
-    return t;
-  }();
-  return table;
-}
 
 struct ChunkGeometry {
   Chunk chunk;
   Vec3f origin_in_scene;
-  float step = 0, radius2_max = 0;
+  DiscScale scale;
   unsigned geometry_id = 0;
   BudgetLease lease;
 };
-
-/// Normals of 16 lanes, not normalised (plane intersection does not need it).
-struct LaneGeometry {
-  alignas(64) float nx[16], ny[16], nz[16];
-};
-
-/// t and squared distance from the centre over squared radius, for the 16 discs of a block. Padding lanes get rho2 = inf.
-struct LaneHits {
-  alignas(64) float t[16], rho2[16];
-};
-
-CHIARO_CLONES void intersect_lanes(const SurfelBlock& block, const float* radius2, float step, float radius2_max, const float* origin, const float* direction,
-                                   LaneHits& hits) {
-  const float ox = origin[0], oy = origin[1], oz = origin[2], dx = direction[0], dy = direction[1], dz = direction[2];
-  alignas(64) float r2[16];
-  alignas(64) int clip[16];
-  alignas(64) float e[3][16], n[3][16];
-  int clipped = 0;
-  for (int i = 0; i < 16; ++i) r2[i] = (block.flags[i] & SurfelBlock::kPadding) ? 0.0f : radius2[block.log_radius[i]] * radius2_max;
-  for (int i = 0; i < 16; ++i) {
-    clip[i] = (block.normal_u[i] & 15) << 8 | (block.normal_v[i] & 15) << 4 | block.flags[i] >> 4;
-    clipped |= clip[i];
-  }
-  for (int i = 0; i < 16; ++i) {
-    const float u = static_cast<float>(block.normal_u[i] & ~15) * (1.0f / 32752.0f), v = static_cast<float>(block.normal_v[i] & ~15) * (1.0f / 32752.0f);
-    const float nz = 1.0f - std::fabs(u) - std::fabs(v);
-    const float fold = nz < 0.0f ? -nz : 0.0f;
-    const float nx = u + (u >= 0.0f ? -fold : fold), ny = v + (v >= 0.0f ? -fold : fold);
-    const float cx = (static_cast<float>(block.x[i]) + 0.5f) * step - ox;
-    const float cy = (static_cast<float>(block.y[i]) + 0.5f) * step - oy;
-    const float cz = (static_cast<float>(block.z[i]) + 0.5f) * step - oz;
-    const float t = (nx * cx + ny * cy + nz * cz) / (nx * dx + ny * dy + nz * dz);
-    const float ex = t * dx - cx, ey = t * dy - cy, ez = t * dz - cz;
-    hits.t[i] = t;
-    hits.rho2[i] = (ex * ex + ey * ey + ez * ez) / r2[i];
-    e[0][i] = ex, e[1][i] = ey, e[2][i] = ez;
-    n[0][i] = std::fabs(nx), n[1][i] = std::fabs(ny), n[2][i] = std::fabs(nz);
-  }
-  if (clipped == 0) return;
-  // The clip line, see stream::DiscClip: two triangle waves around the diamond.
-  for (int i = 0; i < 16; ++i) {
-    const float turn = static_cast<float>(clip[i] >> 5) * (4.0f / DiscClip::kDirections), quarter = turn >= 1.0f ? turn - 1.0f : turn + 3.0f;
-    const float u = std::fabs(turn - 2.0f) - 1.0f, v = std::fabs(quarter - 2.0f) - 1.0f;
-    const bool z = (n[2][i] >= n[0][i]) & (n[2][i] >= n[1][i]), y = n[1][i] >= n[0][i];
-    const float a = z ? e[0][i] : y ? e[2][i] : e[1][i], b = z ? e[1][i] : y ? e[0][i] : e[2][i];
-    const float away = static_cast<float>((clip[i] & 31) - 1) * (1.0f / DiscClip::kDistances) * std::sqrt(r2[i]);
-    hits.rho2[i] = ((clip[i] & 31) != 0) & (u * a + v * b > away) ? kClippedAway : hits.rho2[i];
-  }
-}
 
 struct Candidate {
   float t, rho2;
@@ -158,9 +90,9 @@ struct ShadowQuery {
   Vec3f origin, direction;
 };
 
-void lanes_of(const ChunkGeometry& g, unsigned block, const Vec3f& origin, const Vec3f& direction, LaneHits& hits) {
+LocalRay local_ray(const ChunkGeometry& g, const Vec3f& origin, const Vec3f& direction, float t_min, float t_max) {
   const Vec3f local = origin - g.origin_in_scene;
-  intersect_lanes(g.chunk.blocks[block], radius2_table().data(), g.step, g.radius2_max, local.data(), direction.data(), hits);
+  return {{local.x(), local.y(), local.z()}, {direction.x(), direction.y(), direction.z()}, t_min, t_max};
 }
 
 void on_bounds(const RTCBoundsFunctionArguments* args) {
@@ -170,8 +102,8 @@ void on_bounds(const RTCBoundsFunctionArguments* args) {
   for (int i = 0; i < 16; ++i) {
     const auto k = static_cast<std::size_t>(i);
     if (b.flags[k] & SurfelBlock::kPadding) continue;
-    const Vec3f c = g.origin_in_scene + Vec3f((static_cast<float>(b.x[k]) + 0.5f) * g.step, (static_cast<float>(b.y[k]) + 0.5f) * g.step,
-                                              (static_cast<float>(b.z[k]) + 0.5f) * g.step);
+    const Vec3f c = g.origin_in_scene + Vec3f((static_cast<float>(b.x[k]) + 0.5f) * g.scale.step, (static_cast<float>(b.y[k]) + 0.5f) * g.scale.step,
+                                              (static_cast<float>(b.z[k]) + 0.5f) * g.scale.step);
     const Vec3f n = stream::decode_normal(b.normal_u[k], b.normal_v[k]);
     const float r = stream::decode_radius(b.log_radius[k], g.chunk.frame.radius_max);
     // A disc of radius r with normal n reaches r * sqrt(1 - n_a^2) along axis a; a little more against rounding.
@@ -192,16 +124,17 @@ void on_intersect(const RTCIntersectFunctionNArguments* args) {
   auto& query = *reinterpret_cast<ClosestQuery*>(args->context);
   const auto& g = *static_cast<const ChunkGeometry*>(args->geometryUserPtr);
   RTCRayN* ray = RTCRayHitN_RayN(args->rayhit, args->N);
-  const float t_min = RTCRayN_tnear(ray, args->N, 0);
-  LaneHits hits;
-  lanes_of(g, args->primID, query.origin, query.direction, hits);
-  float t_max = RTCRayN_tfar(ray, args->N, 0);
+  const float t_max = RTCRayN_tfar(ray, args->N, 0);
+  const LocalRay local = local_ray(g, query.origin, query.direction, RTCRayN_tnear(ray, args->N, 0), t_max);
+  const SurfelBlock& block = g.chunk.blocks[args->primID];
+  BlockHits hits;
   bool any = false;
-  for (int i = 0; i < 16; ++i)
-    if (hits.rho2[i] < 1.0f && hits.t[i] > t_min && hits.t[i] <= t_max) {
-      query.offer({hits.t[i], hits.rho2[i], &g, args->primID * 16 + static_cast<unsigned>(i)});
-      any = true;
-    }
+  for (std::uint32_t mask = intersect_block(block, g.scale, local, 1.0f, hits); mask != 0; mask &= mask - 1) {
+    const auto i = static_cast<unsigned>(std::countr_zero(mask));
+    if (is_clipped(block, i, g.scale, local, hits.t[i])) continue;
+    query.offer({hits.t[i], hits.distance2[i] / hits.radius2[i], &g, args->primID * 16 + i});
+    any = true;
+  }
   if (!any) return;
   RTCRayN_tfar(ray, args->N, 0) = std::min(t_max, query.first_t + query.slack);
   RTCHitN* hit = RTCRayHitN_HitN(args->rayhit, args->N);
@@ -212,11 +145,14 @@ void on_occluded(const RTCOccludedFunctionNArguments* args) {
   if (!args->valid[0]) return;
   const auto& query = *reinterpret_cast<const ShadowQuery*>(args->context);
   const auto& g = *static_cast<const ChunkGeometry*>(args->geometryUserPtr);
-  LaneHits hits;
-  lanes_of(g, args->primID, query.origin, query.direction, hits);
-  const float t_min = RTCRayN_tnear(args->ray, args->N, 0), t_max = RTCRayN_tfar(args->ray, args->N, 0);
+  const LocalRay local = local_ray(g, query.origin, query.direction, RTCRayN_tnear(args->ray, args->N, 0), RTCRayN_tfar(args->ray, args->N, 0));
+  const SurfelBlock& block = g.chunk.blocks[args->primID];
+  BlockHits hits;
   bool any = false;
-  for (int i = 0; i < 16; ++i) any |= (hits.rho2[i] < kShadowRho2) & (hits.t[i] > t_min) & (hits.t[i] < t_max);
+  for (std::uint32_t mask = intersect_block(block, g.scale, local, kShadowRho2, hits); mask != 0 && !any; mask &= mask - 1) {
+    const auto i = static_cast<unsigned>(std::countr_zero(mask));
+    any = !is_clipped(block, i, g.scale, local, hits.t[i]);
+  }
   if (any) RTCRayN_tfar(args->ray, args->N, 0) = -std::numeric_limits<float>::infinity();
 }
 
@@ -315,8 +251,8 @@ void Tracer::add(Chunk chunk) {
   g->lease = BudgetLease(impl_->budget, chunk.bytes(), "surfels for rays");
   g->chunk = std::move(chunk);
   g->origin_in_scene = scene_from_world(g->chunk.frame.origin_in_world);
-  g->step = static_cast<float>(g->chunk.frame.step);
-  g->radius2_max = g->chunk.frame.radius_max * g->chunk.frame.radius_max;
+  g->scale.step = static_cast<float>(g->chunk.frame.step);
+  g->scale.radius2_max = g->chunk.frame.radius_max * g->chunk.frame.radius_max;
   const RTCGeometry geometry = rtcNewGeometry(impl_->device.get(), RTC_GEOMETRY_TYPE_USER);
   rtcSetGeometryUserPrimitiveCount(geometry, static_cast<unsigned>(g->chunk.blocks.size()));
   rtcSetGeometryUserData(geometry, g.get());
@@ -368,19 +304,16 @@ void blend(ClosestQuery& q, Hit& hit, HitBlend* parts) {
     const SurfelBlock& b = c.geometry->chunk.blocks[c.slot / 16];
     return stream::decode_normal(b.normal_u[c.slot % 16], b.normal_v[c.slot % 16]);
   };
-  const auto radius_of = [](const Candidate& c) {
-    return stream::decode_radius(c.geometry->chunk.blocks[c.slot / 16].log_radius[c.slot % 16], c.geometry->chunk.frame.radius_max);
-  };
+  const auto radius_of = [](const Candidate& c) { return std::sqrt(radius2_of(c.geometry->chunk.blocks[c.slot / 16], c.slot % 16, c.geometry->scale)); };
   const Candidate& first = q.list[0];
-  Vec3f n_first = normal_of(first);
-  if (n_first.dot(q.direction) > 0) n_first = -n_first;
+  const Vec3f n_front = normal_of(first), n_first = n_front.dot(q.direction) > 0 ? Vec3f(-n_front) : n_front;
   const float slab = kSlabRadii * radius_of(first) / std::max(kSlabMinCosine, -n_first.dot(q.direction));
   float weight = 0, t = 0, back = 0, best = 2;
   Vec3f normal = Vec3f::Zero();
   for (int i = 0; i < q.count; ++i) {
     const Candidate& c = q.list[static_cast<std::size_t>(i)];
     if (c.t > first.t + slab) break;
-    Vec3f n = normal_of(c);
+    Vec3f n = i == 0 ? n_front : normal_of(c);
     const bool from_behind = n.dot(q.direction) > 0;
     if (from_behind) n = -n;
     if (n.dot(n_first) < 0.5f) continue;  // another face of an edge

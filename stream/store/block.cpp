@@ -1,24 +1,13 @@
 #include "stream/store/block.h"
 
 #include <algorithm>
+#include <bit>
 
 namespace chiaro::stream {
 namespace {
 
-// Signed normalised 12 bits in the upper ones of 16: 16 * (-2047 .. 2047), so that 0 and +-1 are exact.
-constexpr float kSnorm = 32752.0f;
 std::int16_t to_snorm(float v) { return static_cast<std::int16_t>(16 * std::lround(std::clamp(v, -1.0f, 1.0f) * 2047.0f)); }
 float sign_of(float v) { return v >= 0 ? 1.0f : -1.0f; }
-
-Vec3f octahedron(std::int16_t qu, std::int16_t qv) {
-  const float u = static_cast<float>(std::max(-32752, qu & ~15)) / kSnorm, v = static_cast<float>(std::max(-32752, qv & ~15)) / kSnorm;
-  Vec3f n(u, v, 1 - std::abs(u) - std::abs(v));
-  if (n.z() < 0) {
-    n.x() = (1 - std::abs(v)) * sign_of(u);
-    n.y() = (1 - std::abs(u)) * sign_of(v);
-  }
-  return n;
-}
 
 }  // namespace
 
@@ -34,13 +23,20 @@ std::array<std::int16_t, 2> encode_normal(const Vec3f& n) {
   return {to_snorm(u), to_snorm(v)};
 }
 
-Vec3f decode_normal(std::int16_t qu, std::int16_t qv) {
-  const Vec3f n = octahedron(qu, qv);
-  return n / n.norm();
+void decode_normals(const SurfelBlock& block, float* x, float* y, float* z) {
+  for (std::size_t i = 0; i < kBlockSurfels; ++i) {
+    const int qu = block.normal_u[i] & ~15, qv = block.normal_v[i] & ~15;
+    const float u = static_cast<float>(qu < -32752 ? -32752 : qu) / kSnorm, v = static_cast<float>(qv < -32752 ? -32752 : qv) / kSnorm;
+    const float up = 1 - std::abs(u) - std::abs(v), folded = up < 0 ? -up : 0;   // see decode_octahedron()
+    const float nx = u >= 0 ? u - folded : u + folded, ny = v >= 0 ? v - folded : v + folded, over = 1 / std::sqrt(nx * nx + ny * ny + up * up);
+    x[i] = nx * over;
+    y[i] = ny * over;
+    z[i] = up * over;
+  }
 }
 
 std::uint16_t encode_clip(std::int16_t normal_u, std::int16_t normal_v, const Vec3f& across, float distance, float radius) {
-  const Vec3f n = octahedron(normal_u, normal_v), size = n.cwiseAbs();
+  const Vec3f n = decode_octahedron(normal_u, normal_v), size = n.cwiseAbs();
   const int dominant = size.z() >= size.x() && size.z() >= size.y() ? 2 : size.y() >= size.x() ? 1 : 0;
   const int a = (dominant + 1) % 3, b = (dominant + 2) % 3;
   // In the disc's plane the dominant coordinate follows from the two others.
@@ -59,10 +55,6 @@ void put_clip(SurfelBlock& block, std::size_t lane, std::uint16_t code) {
   block.flags[lane] = static_cast<std::uint8_t>((block.flags[lane] & SurfelBlock::kFlags) | (code & 15) << 4);
 }
 
-std::uint16_t clip_of(const SurfelBlock& block, std::size_t lane) {
-  return static_cast<std::uint16_t>((block.normal_u[lane] & 15) << 8 | (block.normal_v[lane] & 15) << 4 | block.flags[lane] >> 4);
-}
-
 std::uint8_t encode_radius(float radius, float radius_max) {
   if (!(radius > 0)) return 0;
   const float code = std::ceil(255.0f + 16.0f * std::log2(radius / radius_max));
@@ -76,11 +68,13 @@ RadiusTable::RadiusTable(float radius_max) {
   for (std::size_t c = 0; c < radius_.size(); ++c) radius_[c] = decode_radius(static_cast<std::uint8_t>(c), radius_max);
 }
 
-// The first code that reaches the radius, by halving.
+// The first code that reaches the radius. The exponent and the next bits of a float are a logarithm that is wrong by 1.4 steps at most.
 std::uint8_t RadiusTable::encode(float radius) const {
   if (!(radius > 0)) return 0;
-  std::size_t c = 0;
-  for (std::size_t step = 128; step > 0; step /= 2) c += radius_[c + step - 1] < radius ? step : 0;
+  const auto sixteenths = [](float v) { return static_cast<int>(std::bit_cast<std::uint32_t>(v) >> 19); };
+  int c = std::clamp(255 + sixteenths(radius) - sixteenths(radius_[255]), 0, 255);
+  while (c > 0 && radius_[static_cast<std::size_t>(c - 1)] >= radius) --c;
+  while (c < 255 && radius_[static_cast<std::size_t>(c)] < radius) ++c;
   return static_cast<std::uint8_t>(c);
 }
 

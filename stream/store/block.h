@@ -43,7 +43,9 @@ struct Surfel {
 
 /// Octahedral encoding, 2 x 12 bits in the upper bits of 2 x 16, error below 0.06 degrees. source: Meyer et al. 2010 / Cigolle et al. 2014.
 std::array<std::int16_t, 2> encode_normal(const Vec3f& unit_normal);
-Vec3f decode_normal(std::int16_t u, std::int16_t v);
+inline Vec3f decode_normal(std::int16_t u, std::int16_t v);
+/// All of a block: the same but for the last bit.
+void decode_normals(const SurfelBlock& block, float* x, float* y, float* z);
 /// Rounds up, so that coverage is kept. radius_max > 0.
 std::uint8_t encode_radius(float radius, float radius_max);
 inline float decode_radius(std::uint8_t code, float radius_max) { return radius_max * std::exp2((static_cast<float>(code) - 255.0f) / 16.0f); }
@@ -68,8 +70,25 @@ struct DiscClip {
 std::uint16_t encode_clip(std::int16_t normal_u, std::int16_t normal_v, const Vec3f& across, float distance, float radius);
 /// Sets the clip; the bits of normal and flags stay.
 void put_clip(SurfelBlock& block, std::size_t lane, std::uint16_t code);
-std::uint16_t clip_of(const SurfelBlock& block, std::size_t lane);
+inline std::uint16_t clip_of(const SurfelBlock& block, std::size_t lane) {
+  return static_cast<std::uint16_t>((block.normal_u[lane] & 15) << 8 | (block.normal_v[lane] & 15) << 4 | block.flags[lane] >> 4);
+}
 
 Surfel decode_surfel(const SurfelBlock& block, int lane, const ChunkFrame& frame);
+
+// Signed normalised 12 bits in the upper ones of 16: 16 * (-2047 .. 2047), so that 0 and +-1 are exact.
+inline constexpr float kSnorm = 32752.0f;
+
+/// The point of the octahedron, not yet on the sphere.
+inline Vec3f decode_octahedron(std::int16_t qu, std::int16_t qv) {
+  const int iu = qu & ~15, iv = qv & ~15;
+  const float u = static_cast<float>(iu < -32752 ? -32752 : iu) / kSnorm, v = static_cast<float>(iv < -32752 ? -32752 : iv) / kSnorm;
+  const float au = std::abs(u), av = std::abs(v), z = 1 - au - av;
+  return {z < 0 ? std::copysign(1 - av, u) : u, z < 0 ? std::copysign(1 - au, v) : v, z};
+}
+inline Vec3f decode_normal(std::int16_t u, std::int16_t v) {
+  const Vec3f n = decode_octahedron(u, v);
+  return n / n.norm();
+}
 
 }  // namespace chiaro::stream

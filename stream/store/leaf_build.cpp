@@ -14,7 +14,7 @@
 namespace chiaro::stream {
 namespace {
 
-constexpr std::uint64_t kBytesPerPoint = 120;  // records, sorting, encoded leaves
+constexpr std::uint64_t kBytesPerPoint = 136;  // records, sorting, encoded leaves
 constexpr int kSubLevels = 6;                  // an oversized partition is counted this many levels deeper
 
 struct KeyRange {
@@ -168,12 +168,14 @@ class LeafAssembler {
     std::uint64_t points = 0;
     for (const Job& job : wave) points += job.count;
     const BudgetLease lease(budget_, points * kBytesPerPoint, "sorting of points");
+    if (rooms_.size() < wave.size()) rooms_.resize(wave.size());
     parallel_blocks(wave.size(), 1, [&](std::size_t j, std::size_t) {
       report_.check();
-      std::vector<SpillRecord> records;
+      std::vector<SpillRecord>& records = rooms_[j].records;
+      records.clear();
       records.reserve(wave[j].count);
       for (const SpillPage& page : wave[j].pages) read_page(spill_, page, root_, records);
-      records = sorted_by_key(std::move(records));
+      sort_by_key(records, rooms_[j].sorting);
       wave[j].leaves = RangeBuilder(records, wave[j].range, rules_, files_.colour != nullptr).take();
     });
     for (Job& job : wave) {
@@ -187,6 +189,7 @@ class LeafAssembler {
   // One cell with more points than fit: its records are distributed again, by the next bits of their keys, behind the others in the spill file.
   void build_oversized(const Job& job, std::uint64_t capacity) {
     report_.check();
+    rooms_.clear();
     MortonKey low = ~MortonKey{0}, high = 0;
     for_each_record(job, [&](const SpillRecord& r) {
       low = std::min(low, r.key());
@@ -331,6 +334,11 @@ class LeafAssembler {
   std::vector<SpillRecord> open_;
   std::uint64_t open_morton_ = 0;
   int open_part_ = 0;
+  struct Room {
+    std::vector<SpillRecord> records;
+    SortRoom sorting;
+  };
+  std::vector<Room> rooms_;   // one for each job of a wave, used again by the next
 };
 
 }  // namespace

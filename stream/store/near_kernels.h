@@ -1,33 +1,50 @@
-/// The inner loops of fitting surfels, eight numbers at a time (see lanes.h). Internal to stream/store.
+/// The inner loops of searching and of fitting planes, many numbers at a time (see lanes.h). Internal to stream/store.
 #pragma once
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
 namespace chiaro::stream {
 
-/// For tests: false takes the way of processors without AVX2.
-void use_wide_vectors(bool use);
+enum class VectorWidth { kPlain, kAvx2, kAvx512 };
+/// For tests: nothing wider, even where the processor has it.
+void limit_vectors(VectorWidth widest);
 
-inline constexpr std::uint32_t kLanes = 8;
+/// Points that are worked on together, and what arrays are padded to.
+inline constexpr std::uint32_t kLanes = 16;
 inline constexpr std::size_t kNearest = 6;
 
-/// Positions to search in; `num` counts, and the arrays are readable up to the next multiple of eight.
+/// Positions to search in; `num` counts, and the arrays are readable up to the next multiple of kLanes.
 struct CandidateView {
   const float *x = nullptr, *y = nullptr, *z = nullptr;
   std::size_t num = 0;
   const std::uint32_t* index = nullptr;  ///< numbers by which they are known; null: 0, 1, 2, ...
+  const float *nx = nullptr, *ny = nullptr, *nz = nullptr;  ///< unit normals, or null
+  const std::uint32_t* oriented = nullptr;                  ///< with normals: all bits set where the sign of the normal is known
 };
 
-/// Some of the candidates, in their order.
+/// Some of the candidates, in their order; behind the last one come far ones, up to a multiple of kLanes.
 struct Selection {
   std::vector<float> x, y, z;
   std::vector<std::uint32_t> index;
+  std::vector<float> nx, ny, nz;        ///< if the candidates have normals
+  std::vector<std::uint32_t> oriented;  ///< likewise
   std::size_t num = 0;
-  CandidateView view() const { return {x.data(), y.data(), z.data(), num, index.data()}; }
+  bool has_normals = false, has_index = false;
+  std::size_t size() const { return num; }
+  /// Makes room for `most` and whole lanes behind.
+  void reserve(std::size_t most, bool with_index, bool with_normals);
+  void pad();
+  CandidateView view() const;
+  /// Known by their place here.
+  CandidateView renumbered() const;
 };
-/// Those within sqrt(limit) of a box.
-void select_near_box(const CandidateView& candidates, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out);
+
+/// Those within sqrt(limit) of a box, with what they are known by if asked for.
+void select_near_box(const CandidateView& candidates, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, bool with_index, Selection& out);
+/// Those within sqrt(near), and the others within sqrt(far); positions only.
+void split_near_box(const CandidateView& candidates, const std::array<float, 3>& min, const std::array<float, 3>& max, float near, float far, Selection& nearer, Selection& farther);
 
 /// A tree over points in groups of sixteen: level 0 holds the boxes of groups 8 i .. 8 i + 7 in its element i, each further level those of the elements below.
 /// The last level has one element. Boxes that nothing fills are turned inside out.
@@ -36,21 +53,23 @@ struct EightBoxes {
 };
 using BoxLevels = std::vector<std::vector<EightBoxes>>;
 inline constexpr std::size_t kBoxedPoints = 16;
-/// Appends the points within sqrt(limit) of a box, in their order. points: whole groups, padded with far ones.
+/// Appends the points within sqrt(limit) of a box, in their order, with their index, without normals. points: whole groups, padded with far ones.
 void select_from_tree(const CandidateView& points, const BoxLevels& levels, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out);
 
-struct EightPoints {
-  std::array<float, kLanes> x, y, z;
+using LaneFloats = std::array<float, kLanes>;
+struct LanePoints {
+  LaneFloats x, y, z;
 };
 
 /// Squared distances of the six nearest of each lane, nearest first; infinite where there are fewer. What lies on the spot is left out.
 struct Nearest {
-  float squared[kNearest][kLanes];
+  std::array<LaneFloats, kNearest> squared;
 };
-void nearest_of(const CandidateView& candidates, const EightPoints& points, Nearest& out);
+void nearest_of(const CandidateView& candidates, const LanePoints& points, Nearest& out);
+/// Distance of the sixth, and the mean of the six or fewer; 0 where there is none.
+void distances_of(const Nearest& nearest, LaneFloats& sixth, LaneFloats& mean);
 
-/// Neighbours of one point as offsets from it. The arrays hold room for whole lanes of eight; what follows the last neighbour there is zero, its distance
-/// infinite.
+/// Neighbours of one point as offsets from it. What follows the last neighbour, up to a multiple of kLanes, is zero, its distance infinite.
 struct NeighbourRow {
   std::vector<float> x, y, z, distance_squared;
   std::vector<std::uint32_t> candidate;  ///< index of the candidate
@@ -68,47 +87,12 @@ inline constexpr std::size_t kTerms = 10;
 using Moments = std::array<double, kTerms>;
 Moments moments_within(const NeighbourRow& row, float limit);
 
-/// The same for eight points at once, whose own spot is counted too: among the candidates within sqrt(limits), one limit a point; a negative one finds none.
-struct EightMoments {
-  std::array<std::array<float, kLanes>, kTerms> sum;
+/// The same for many points at once, whose own spot is counted too: among the candidates within sqrt(limits), one limit a point; a negative one finds none.
+struct LaneMoments {
+  std::array<LaneFloats, kTerms> sum{};
 };
-void moments_of(const CandidateView& candidates, const EightPoints& points, const std::array<float, kLanes>& limits, EightMoments& out);
-
-/// Lines of the plane are given as w, the point w / |w|^2 being the foot of the origin on the line: p is beyond it if w . p > 1. Lines half-way to neighbours
-/// bound the Voronoi cell of the origin. Here the first line that is met in each of eight directions, 45 degrees apart, the first repeated.
-struct EightLines {
-  std::array<float, 9> x, y;
-  std::array<float, 8> corner_x, corner_y;   ///< where a line meets the next one
-  std::array<float, 8> corner_squared;       ///< its squared distance; negative where both are the same line, infinite where they do not meet
-};
-/// Beside the given lines there is a square of the half size `half`. The arrays hold room for whole lanes of eight, zero behind the last line.
-EightLines nearest_lines(const float* wx, const float* wy, std::size_t num, float half);
-/// The line that the point (x, y) is furthest beyond; num if it is beyond none.
-std::size_t line_before(const float* wx, const float* wy, std::size_t num, float x, float y);
-
-/// Normals of the neighbours of a row.
-struct NeighbourNormals {
-  std::vector<float> x, y, z;
-  std::vector<std::uint32_t> oriented;  ///< all bits set where the sign of the normal is known
-  void take(const float* nx, const float* ny, const float* nz, const std::uint8_t* flags, const NeighbourRow& row);
-};
-
-/// A point's tangent plane and what counts as another face there.
-struct TangentFrame {
-  std::array<float, 3> normal, u, v;
-  bool oriented = false;
-  float edge_reach = 0, other_face = 0;  ///< a neighbour within this distance, the cosine of whose normal is below this, is on another face
-};
-
-/// The neighbours of a row in a tangent plane.
-struct TangentLines {
-  std::vector<float> u, v;    ///< of the neighbour
-  std::vector<float> wx, wy;  ///< where the tangent plane meets the plane half-way to the neighbour (see EightLines); 0 for neighbours on other faces: normals
-                              ///< more than 60 degrees apart, or more than 30 degrees off the plane
-  /// False if another face begins near; the lines are not filled then.
-  bool make(const NeighbourRow& row, const NeighbourNormals& normals, const TangentFrame& frame);
-  /// Is a neighbour beyond `distance` in the direction (x, y), at most `distance` off it to the side?
-  bool is_beyond(float x, float y, float distance, std::size_t num) const;
-};
+void add_moments(const CandidateView& candidates, const LanePoints& points, const LaneFloats& limits, LaneMoments& out);
+/// Within two limits each, the narrow ones no larger.
+void add_moments(const CandidateView& candidates, const LanePoints& points, const LaneFloats& wide_limits, const LaneFloats& narrow_limits, LaneMoments& wide, LaneMoments& narrow);
 
 }  // namespace chiaro::stream

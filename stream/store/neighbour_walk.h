@@ -17,9 +17,9 @@ namespace chiaro::stream {
 inline constexpr float kSixthInSpacings = 1.3820f;
 inline constexpr int kMostGrowth = 3;
 
-inline CandidateView view_of(const Candidates& c) { return {c.x.data(), c.y.data(), c.z.data(), c.num}; }
+using NearestSquared = std::array<float, kNearest>;
 
-inline float mean_distance(const std::array<float, kNearest>& nearest_squared) {
+inline float mean_distance(const NearestSquared& nearest_squared) {
   float sum = 0;
   int n = 0;
   for (const float d : nearest_squared) {
@@ -35,7 +35,7 @@ struct NeighbourList {
   std::vector<float> x, y, z;
   std::vector<float> distance_squared;
   std::vector<std::uint32_t> candidate;
-  std::array<float, kNearest> nearest_squared{};
+  NearestSquared nearest_squared{};
   float radius = 0;       ///< all neighbours within it are here, up to the maximum number
   std::size_t total = 0;  ///< how many lie within it
   std::size_t size() const { return x.size(); }
@@ -60,16 +60,25 @@ struct NeighbourList {
 struct SearchGroup {
   std::uint32_t begin = 0, end = 0;
   HaloChunk::FlatBox box{};
-  std::array<EightPoints, HaloChunk::kGroup / kLanes> points;   ///< the last one repeated
-  std::array<HaloChunk::FlatBox, HaloChunk::kGroup / kLanes> boxes;   ///< of eight points each
-  std::array<float, HaloChunk::kGroup> radius{};                ///< within which each one's neighbours lie; 0 if that is not known
-  float most = 0;                                               ///< largest radius
+  LanePoints points;     ///< the last one repeated
+  Nearest nearest;       ///< those that the first search found
+  LaneFloats sixth{}, mean{};   ///< distance of the last and of all of these
+  LaneFloats radius{};   ///< within which each one's neighbours lie; 0 if that is not known
+  float most = 0;        ///< largest radius
+  std::size_t size() const { return end - begin; }
+  NearestSquared nearest_of(std::size_t lane) const {
+    NearestSquared d;
+    for (std::size_t k = 0; k < kNearest; ++k) d[k] = nearest.squared[k][lane];
+    return d;
+  }
 };
+static_assert(HaloChunk::kGroup == kLanes);
 
-/// Goes through a chunk in groups of consecutive points that share a search. Fit answers: fit_nearest() fits a point from a view that holds all points up to a
-/// distance, kNearShare of the usual radius of the neighbourhood, or refuses; fit_group(), if kFitsGroups, fits what it can of a group from a view that holds
-/// all neighbours; fit_near() a point from such a view, with their numbers among the candidates, or refuses; fit_one() fits one from a complete list, or
-/// refuses and gets a larger one.
+/// Goes through a chunk in groups of consecutive points that share a search. The six nearest are looked for within kNearShare of the usual radius of the
+/// neighbourhood; they say how far each point looks. Fit answers: if kFitsGroups, fit_group() fits what it can of a group from two views, of all points within
+/// kInnerShare of the largest radius at least, and of the others within it; else fit_nearest() from a view of all points up to a distance.
+/// Where these refuse, fit_near() fits a point from a view of all its neighbours, with their numbers among the candidates; then fit_one() from a complete
+/// list, or it refuses too and gets a larger one.
 template <class Fit>
 class Walker {
  public:
@@ -78,11 +87,11 @@ class Walker {
   void run() {
     guess_ = first_guess();
     for (std::uint32_t begin = 0; begin < own_.size;) {
-      const std::uint32_t end = run_end(begin, kRun, 8 * guess_, run_box_);
+      const std::uint32_t end = run_end(begin, kRun, 8 * guess_, group_.box);
       run_radius_ = clamped(kRunShare * guess_);
-      around_.gather(run_box_, run_radius_, Fit::kNeedsNormals, of_run_);
+      around_.gather(group_.box, run_radius_, Fit::kNeedsNormals, of_run_);
       while (begin < end) {
-        const std::uint32_t group_end = std::min(end, run_end(begin, HaloChunk::kGroup, 3 * guess_, box_));
+        const std::uint32_t group_end = std::min(end, run_end(begin, kLanes, 3 * guess_, group_.box));
         run_group(begin, group_end);
         begin = group_end;
       }
@@ -100,101 +109,117 @@ class Walker {
     return clamped(spacing * static_cast<float>(options_.radius_spacings));
   }
 
+  static float extent(const HaloChunk::FlatBox& box) { return std::max({box.max[0] - box.min[0], box.max[1] - box.min[1], box.max[2] - box.min[2]}); }
+
+  static HaloChunk::FlatBox joined(const HaloChunk::FlatBox& a, const HaloChunk::FlatBox& b) {
+    HaloChunk::FlatBox box;
+    for (std::size_t i = 0; i < 3; ++i) {
+      box.min[i] = std::min(a.min[i], b.min[i]);
+      box.max[i] = std::max(a.max[i], b.max[i]);
+    }
+    return box;
+  }
+
   // Consecutive points share one search while they stay within a few search radii: at most `most` of them, up to the next multiple of it.
   std::uint32_t run_end(std::uint32_t begin, std::uint32_t most, float most_extent, HaloChunk::FlatBox& box) const {
-    box = {{own_.x[begin], own_.y[begin], own_.z[begin]}, {own_.x[begin], own_.y[begin], own_.z[begin]}};
     const std::uint32_t last = std::min(own_.size, (begin / most + 1) * most);
-    std::uint32_t end = begin + 1;
-    for (; end < last; ++end) {
-      HaloChunk::FlatBox grown = box;
-      const float p[3] = {own_.x[end], own_.y[end], own_.z[end]};
-      float extent = 0;
-      for (std::size_t a = 0; a < 3; ++a) {
-        grown.min[a] = std::min(grown.min[a], p[a]);
-        grown.max[a] = std::max(grown.max[a], p[a]);
-        extent = std::max(extent, grown.max[a] - grown.min[a]);
+    box = {{own_.x[begin], own_.y[begin], own_.z[begin]}, {own_.x[begin], own_.y[begin], own_.z[begin]}};
+    for (std::uint32_t end = begin;;) {
+      // The boxes of whole groups are known.
+      const bool whole = end % kLanes == 0 && end + kLanes <= last;
+      const HaloChunk::FlatBox next = whole ? own_.box_of_group(end / kLanes) : HaloChunk::FlatBox{{own_.x[end], own_.y[end], own_.z[end]}, {own_.x[end], own_.y[end], own_.z[end]}};
+      HaloChunk::FlatBox grown = joined(box, next);
+      if (extent(grown) <= most_extent) {
+        box = grown;
+        end += whole ? kLanes : 1;
+        if (end == last) return end;
+        continue;
       }
-      if (extent > most_extent) break;
-      box = grown;
+      if (!whole) return std::max(end, begin + 1);
+      for (;; ++end) {
+        grown = joined(box, {{own_.x[end], own_.y[end], own_.z[end]}, {own_.x[end], own_.y[end], own_.z[end]}});
+        if (extent(grown) > most_extent) return std::max(end, begin + 1);
+        box = grown;
+      }
     }
-    return end;
   }
 
-  // All points within the radius of the group's box, from those around the run where these reach as far; and what their numbers count.
-  CandidateView near_group(float radius, const Candidates*& numbered) {
-    if (radius <= run_radius_) {
-      select_near_box(view_of(of_run_), box_.min, box_.max, radius * radius, selection_);
-      numbered = &of_run_;
-      return selection_.view();
-    }
-    around_.gather(box_, radius, Fit::kNeedsNormals, of_group_);
-    numbered = &of_group_;
-    return view_of(of_group_);
+  // All points within the radius of the group's box, and more: those around the run where these reach as far.
+  const Selection& around_group(float radius) {
+    if (radius <= run_radius_) return of_run_;
+    around_.gather(group_.box, radius, Fit::kNeedsNormals, of_group_);
+    return of_group_;
   }
 
-  // First the six nearest, which say how far each point looks; then the points within the largest of these distances, for the whole group.
   void run_group(std::uint32_t begin, std::uint32_t end) {
-    const float near = Fit::kNearShare * guess_;
-    const Candidates* numbered = nullptr;
-    // Where all points will need them, all neighbours at once.
-    const float at_once = Fit::kFitsGroups ? kMostlyEnough * guess_ : near;
-    CandidateView view = near_group(at_once, numbered);
     group_.begin = begin;
     group_.end = end;
-    group_.box = box_;
-    group_.radius.fill(0);
-    group_.most = 0;
-    Nearest nearest;
-    std::array<std::array<float, kNearest>, HaloChunk::kGroup> squared;
-    std::array<bool, HaloChunk::kGroup> fitted{};
-    float sum = 0;
-    for (std::uint32_t first = begin; first < end; first += kLanes) {
-      EightPoints& points = group_.points[(first - begin) / kLanes];
-      HaloChunk::FlatBox& box = group_.boxes[(first - begin) / kLanes];
-      points = eight_points(first, end);
-      box = box_of(points);
-      select_near_box(view, box.min, box.max, near * near, nearer_);
-      nearest_of(nearer_.view(), points, nearest);
-      for (std::uint32_t i = first; i < std::min(end, first + kLanes); ++i) {
-        const std::uint32_t at = i - begin;
-        for (std::size_t k = 0; k < kNearest; ++k) squared[at][k] = nearest.squared[k][i - first];
-        const float sixth = squared[at][kNearest - 1];
-        const float radius = std::sqrt(sixth) / kSixthInSpacings * static_cast<float>(options_.radius_spacings);
-        if (!(sixth <= near * near) || !(radius <= options_.max_radius)) continue;
-        group_.radius[at] = radius;
-        fitted[at] = fit_.fit_nearest(i, squared[at], nearer_.view(), *numbered, radius, near);
-        if (!fitted[at]) group_.most = std::max(group_.most, radius);
+    set_points();
+    const float near = Fit::kNearShare * guess_;
+    const HaloChunk::FlatBox& box = group_.box;
+    std::array<bool, kLanes> fitted{};
+    if constexpr (Fit::kFitsGroups) {
+      // Nearly all points will need all their neighbours.
+      const float mostly = kMostlyEnough * guess_;
+      split_near_box(around_group(mostly).renumbered(), box.min, box.max, near * near, mostly * mostly, nearer_, farther_);
+      look_at_nearest(near);
+      if (group_.most > 0) {
+        const float inner = Fit::kInnerShare * group_.most;
+        if (group_.most > mostly || inner > near) split_near_box(around_group(group_.most).renumbered(), box.min, box.max, inner * inner, group_.most * group_.most, nearer_, farther_);
+        else {
+          std::swap(farther_, all_);
+          select_near_box(all_.view(), box.min, box.max, group_.most * group_.most, false, farther_);
+        }
+        fit_.fit_group(group_, nearer_.view(), farther_.view(), fitted);
       }
+    } else {
+      select_near_box(around_group(near).renumbered(), box.min, box.max, near * near, false, nearer_);
+      look_at_nearest(near);
+      fit_.fit_nearest(group_, nearer_.view(), near, fitted);
+      group_.most = 0;
+      for (std::size_t at = 0; at < group_.size(); ++at)
+        if (!fitted[at]) group_.most = std::max(group_.most, group_.radius[at]);
     }
-    if (group_.most > 0) {
-      if (group_.most > at_once) view = near_group(group_.most, numbered);
-      if constexpr (Fit::kFitsGroups) fit_.fit_group(group_, view, fitted);
+    fit_others(fitted, near);
+  }
+
+  void set_points() {
+    const auto copy = [&](const std::vector<float>& from, LaneFloats& to) {
+      if (group_.size() == kLanes) return static_cast<void>(std::copy_n(&from[group_.begin], kLanes, to.begin()));
+      for (std::uint32_t lane = 0; lane < kLanes; ++lane) to[lane] = from[std::min(group_.begin + lane, group_.end - 1)];
+    };
+    copy(own_.x, group_.points.x);
+    copy(own_.y, group_.points.y);
+    copy(own_.z, group_.points.z);
+  }
+
+  // How far each point of the group looks, where six others lie within `near`.
+  void look_at_nearest(float near) {
+    nearest_of(nearer_.view(), group_.points, group_.nearest);
+    distances_of(group_.nearest, group_.sixth, group_.mean);
+    const float share = static_cast<float>(options_.radius_spacings) / kSixthInSpacings;
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      const float radius = group_.sixth[lane] * share;
+      group_.radius[lane] = group_.sixth[lane] <= near && radius <= options_.max_radius ? radius : 0;
     }
-    for (std::uint32_t i = begin; i < end; ++i) {
-      const std::uint32_t at = i - begin;
-      float& radius = group_.radius[at];
-      if (!fitted[at] && (radius == 0 || !fit_.fit_near(i, squared[at], view, *numbered, radius))) radius = search_carefully(i, std::sqrt(squared[at][kNearest - 1]), near);
+    group_.most = *std::max_element(group_.radius.begin(), group_.radius.end());
+  }
+
+  void fit_others(const std::array<bool, kLanes>& fitted, float near) {
+    const Selection* numbered = nullptr;
+    float sum = 0;
+    for (std::uint32_t at = 0; at < group_.size(); ++at) {
+      float radius = group_.radius[at];
+      if (!fitted[at]) {
+        if (radius > 0 && !numbered) {
+          numbered = &around_group(group_.most);
+          select_near_box(numbered->renumbered(), group_.box.min, group_.box.max, group_.most * group_.most, true, all_);
+        }
+        if (radius == 0 || !fit_.fit_near(group_, at, all_.view(), *numbered)) radius = search_carefully(group_.begin + at, group_.sixth[at], near);
+      }
       sum += radius;
     }
-    guess_ = clamped(sum / static_cast<float>(end - begin));  // the next group is probably as dense as this one
-  }
-
-  EightPoints eight_points(std::uint32_t first, std::uint32_t end) const {
-    EightPoints p;
-    for (std::uint32_t lane = 0; lane < kLanes; ++lane) {
-      const std::uint32_t i = std::min(first + lane, end - 1);
-      p.x[lane] = own_.x[i];
-      p.y[lane] = own_.y[i];
-      p.z[lane] = own_.z[i];
-    }
-    return p;
-  }
-
-  static HaloChunk::FlatBox box_of(const EightPoints& p) {
-    const auto [x0, x1] = std::minmax_element(p.x.begin(), p.x.end());
-    const auto [y0, y1] = std::minmax_element(p.y.begin(), p.y.end());
-    const auto [z0, z1] = std::minmax_element(p.z.begin(), p.z.end());
-    return {{*x0, *y0, *z0}, {*x1, *y1, *z1}};
+    guess_ = clamped(sum / static_cast<float>(group_.size()));  // the next group is probably as dense as this one
   }
 
   // The search radius grows until the wanted neighbours are certain. Returns that radius. sixth: distance of the sixth neighbour if that is within `near`.
@@ -258,11 +283,10 @@ class Walker {
   const FitOptions& options_;
   Fit& fit_;
   static constexpr std::uint32_t kRun = 64;     // points that share a search in the leaves; groups then search in what it found
-  static constexpr float kRunShare = 1.4f, kMostlyEnough = 1.2f;
+  static constexpr float kRunShare = Fit::kRunShare, kMostlyEnough = 1.2f;
   float guess_ = 0, run_radius_ = 0;
-  HaloChunk::FlatBox run_box_{}, box_{};
-  Candidates of_run_, of_group_, single_;
-  Selection selection_, nearer_;
+  Selection of_run_, of_group_, single_;   // as gathered: known by their place here
+  Selection nearer_, farther_, all_;
   SearchGroup group_;
   std::vector<std::pair<float, std::uint32_t>> near_;
   NeighbourList list_;

@@ -62,6 +62,12 @@ void build_levels(HaloChunk& c) {
 
 }  // namespace
 
+HaloChunk::FlatBox HaloChunk::box_of_group(std::uint32_t group) const {
+  const EightBoxes& b = levels[0][group / 8];
+  const std::size_t i = group % 8;
+  return {{b.min[0][i], b.min[1][i], b.min[2][i]}, {b.max[0][i], b.max[1][i], b.max[2][i]}};
+}
+
 std::uint64_t HaloChunk::bytes_for(std::uint32_t count) { return 34ull * count + 1024; }
 
 std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count, bool with_normals) {
@@ -70,35 +76,43 @@ std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const Chun
   c.index = index;
   c.origin_in_world = frame.origin_in_world;
   const auto step = static_cast<float>(frame.step);
-  const auto position = [&](std::uint32_t i) {
-    const SurfelBlock& b = blocks[i / 16];
-    return std::array<std::uint16_t, 3>{b.x[i % 16], b.y[i % 16], b.z[i % 16]};
-  };
-  for (std::uint32_t i = 0; i < count; ++i)
-    if (i == 0 || position(i) != position(i - 1)) c.first_slot.push_back(i);
+  const std::size_t room = (count + HaloChunk::kGroup - 1) / HaloChunk::kGroup * HaloChunk::kGroup;
+  c.x.assign(room, kFar);
+  c.y.assign(room, kFar);
+  c.z.assign(room, kFar);
+  c.flags.resize(room);
+  c.first_slot.reserve(count + 1);
+  if (with_normals)
+    for (std::vector<float>* v : {&c.nx, &c.ny, &c.nz}) v->resize(room);
+  std::array<std::uint16_t, 3> before{};
+  std::array<float, kBlockSurfels> nx, ny, nz;
+  for (std::uint32_t first = 0; first < count; first += kBlockSurfels) {
+    const SurfelBlock& b = blocks[first / kBlockSurfels];
+    if (with_normals) decode_normals(b, nx.data(), ny.data(), nz.data());
+    for (std::uint32_t lane = 0; lane < std::min<std::uint32_t>(kBlockSurfels, count - first); ++lane) {
+      const std::array<std::uint16_t, 3> q{b.x[lane], b.y[lane], b.z[lane]};
+      if (first + lane > 0 && q == before) continue;
+      before = q;
+      const std::size_t i = c.first_slot.size();
+      c.first_slot.push_back(first + lane);
+      c.x[i] = (static_cast<float>(q[0]) + 0.5f) * step;
+      c.y[i] = (static_cast<float>(q[1]) + 0.5f) * step;
+      c.z[i] = (static_cast<float>(q[2]) + 0.5f) * step;
+      if (with_normals) {
+        c.nx[i] = nx[lane];
+        c.ny[i] = ny[lane];
+        c.nz[i] = nz[lane];
+      }
+      c.flags[i] = b.flags[lane] & SurfelBlock::kFlags;
+    }
+  }
   c.size = static_cast<std::uint32_t>(c.first_slot.size());
   c.first_slot.push_back(count);
   const std::size_t padded = (c.size + HaloChunk::kGroup - 1) / HaloChunk::kGroup * HaloChunk::kGroup;
-  c.x.assign(padded, kFar);
-  c.y.assign(padded, kFar);
-  c.z.assign(padded, kFar);
+  for (std::vector<float>* v : {&c.x, &c.y, &c.z}) v->resize(padded);
   c.flags.resize(padded);
   if (with_normals)
     for (std::vector<float>* v : {&c.nx, &c.ny, &c.nz}) v->resize(padded);
-  for (std::uint32_t i = 0; i < c.size; ++i) {
-    const std::uint32_t slot = c.first_slot[i];
-    const auto q = position(slot);
-    c.x[i] = (static_cast<float>(q[0]) + 0.5f) * step;
-    c.y[i] = (static_cast<float>(q[1]) + 0.5f) * step;
-    c.z[i] = (static_cast<float>(q[2]) + 0.5f) * step;
-    if (with_normals) {
-      const Vec3f n = decode_normal(blocks[slot / 16].normal_u[slot % 16], blocks[slot / 16].normal_v[slot % 16]);
-      c.nx[i] = n.x();
-      c.ny[i] = n.y();
-      c.nz[i] = n.z();
-    }
-    c.flags[i] = blocks[slot / 16].flags[slot % 16] & SurfelBlock::kFlags;
-  }
   build_levels(c);
   return chunk;
 }
@@ -141,16 +155,6 @@ std::shared_ptr<const HaloChunk> HaloCache::get(std::uint32_t chunk) {
   return loaded;
 }
 
-void Candidates::reserve(std::size_t size) {
-  if (x.size() >= size) return;
-  size = std::max(size, 2 * x.size());
-  x.resize(size);
-  y.resize(size);
-  z.resize(size);
-  for (std::vector<float>* v : {&nx, &ny, &nz}) v->resize(size);
-  flags.resize(size);
-}
-
 Neighbourhood::Neighbourhood(std::shared_ptr<const HaloChunk> own, const Box3d& own_bounds, const Find& find, HaloCache& cache)
     : own_(std::move(own)), own_bounds_(own_bounds), find_(find), cache_(cache) {
   find_near(static_cast<float>((own_bounds.max - own_bounds.min).maxCoeff() / 16));
@@ -175,39 +179,31 @@ void Neighbourhood::find_near(float radius) {
   }
 }
 
-void Neighbourhood::gather_from(const HaloChunk& c, const FlatBox& box, float radius, const Vec3d* shift, bool with_normals, Candidates& out) {
-  selection_.num = 0;
-  select_from_tree({c.x.data(), c.y.data(), c.z.data(), c.x.size()}, c.levels, box.min, box.max, radius * radius, selection_);
-  const std::size_t n = selection_.num;
-  out.reserve(out.num + n + 8);
-  for (std::size_t i = 0; i < n; ++i) {
-    out.x[out.num + i] = selection_.x[i];
-    out.y[out.num + i] = selection_.y[i];
-    out.z[out.num + i] = selection_.z[i];
-  }
-  if (with_normals) {
-    for (std::size_t i = 0; i < n; ++i) {
-      const std::size_t from = selection_.index[i], to = out.num + i;
-      out.nx[to] = c.nx[from];
-      out.ny[to] = c.ny[from];
-      out.nz[to] = c.nz[from];
-      out.flags[to] = c.flags[from];
+void Neighbourhood::gather_from(const HaloChunk& c, const FlatBox& box, float radius, const Vec3d* shift, Selection& out) {
+  const std::size_t first = out.num;
+  select_from_tree({c.x.data(), c.y.data(), c.z.data(), c.x.size()}, c.levels, box.min, box.max, radius * radius, out);
+  if (out.has_normals) {
+    for (std::size_t i = first; i < out.num; ++i) {
+      const std::size_t from = out.index[i];
+      out.nx[i] = c.nx[from];
+      out.ny[i] = c.ny[from];
+      out.nz[i] = c.nz[from];
+      out.oriented[i] = 0u - static_cast<std::uint32_t>((c.flags[from] & SurfelBlock::kOriented) != 0);
     }
   }
-  if (shift) {
-    for (std::size_t i = out.num; i < out.num + n; ++i) {
-      out.x[i] = static_cast<float>(shift->x() + out.x[i]);
-      out.y[i] = static_cast<float>(shift->y() + out.y[i]);
-      out.z[i] = static_cast<float>(shift->z() + out.z[i]);
-    }
+  if (!shift) return;
+  for (std::size_t i = first; i < out.num; ++i) {
+    out.x[i] = static_cast<float>(shift->x() + out.x[i]);
+    out.y[i] = static_cast<float>(shift->y() + out.y[i]);
+    out.z[i] = static_cast<float>(shift->z() + out.z[i]);
   }
-  out.num += n;
 }
 
-void Neighbourhood::gather(const FlatBox& box, float radius, bool with_normals, Candidates& out) {
+void Neighbourhood::gather(const FlatBox& box, float radius, bool with_normals, Selection& out) {
   if (radius > near_radius_) find_near(2 * radius);
   out.num = 0;
-  gather_from(*own_, box, radius, nullptr, with_normals, out);
+  out.reserve(0, true, with_normals);
+  gather_from(*own_, box, radius, nullptr, out);
   for (const Near& n : near_) {
     if (gap_squared(n.box, box) > radius * radius) continue;
     const auto chunk = cache_.get(n.chunk);
@@ -219,10 +215,9 @@ void Neighbourhood::gather(const FlatBox& box, float radius, bool with_normals, 
       there.max[a] = static_cast<float>(box.max[a] - shift[static_cast<int>(a)]);
       magnitude = std::max({magnitude, std::abs(there.min[a]), std::abs(there.max[a])});
     }
-    gather_from(*chunk, there, radius + 4e-7f * magnitude, &shift, with_normals, out);  // grown by the rounding of the shift
+    gather_from(*chunk, there, radius + 4e-7f * magnitude, &shift, out);  // grown by the rounding of the shift
   }
-  out.reserve(out.num + 8);
-  for (std::size_t i = out.num; i < out.num + 8; ++i) out.x[i] = out.y[i] = out.z[i] = kFar;
+  out.pad();
 }
 
 }  // namespace chiaro::stream

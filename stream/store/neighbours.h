@@ -29,6 +29,7 @@ struct HaloChunk {
   };
   FlatBox bounds{};
   BoxLevels levels;                                  ///< of groups of kGroup points
+  FlatBox box_of_group(std::uint32_t group) const;
   static std::uint64_t bytes_for(std::uint32_t count);
 };
 std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count, bool with_normals);
@@ -57,16 +58,6 @@ class HaloCache {
   std::list<std::uint32_t> order_;  ///< most recent first
 };
 
-/// Points near a box, relative to the lower corner of the chunk that asks. The first `num` entries count; positions behind, up to a multiple of eight, are far.
-struct Candidates {
-  std::size_t num = 0;
-  std::vector<float> x, y, z;
-  std::vector<float> nx, ny, nz;      ///< if asked for
-  std::vector<std::uint8_t> flags;    ///< if asked for
-  std::size_t size() const { return num; }
-  void reserve(std::size_t size);
-};
-
 /// Gathers candidates for one chunk from itself and the leaves around. One thread at a time.
 class Neighbourhood {
  public:
@@ -74,8 +65,8 @@ class Neighbourhood {
   using Find = std::function<std::vector<std::pair<std::uint32_t, Box3d>>(const Box3d& box)>;
   Neighbourhood(std::shared_ptr<const HaloChunk> own, const Box3d& own_bounds, const Find& find, HaloCache& cache);
   const HaloChunk& own() const { return *own_; }
-  /// All points within `radius` of the box (own frame), in an order that does not depend on the radius.
-  void gather(const HaloChunk::FlatBox& box, float radius, bool with_normals, Candidates& out);
+  /// All points within `radius` of the box, relative to the lower corner of the own chunk, in an order that does not depend on the radius.
+  void gather(const HaloChunk::FlatBox& box, float radius, bool with_normals, Selection& out);
 
  private:
   struct Near {
@@ -83,13 +74,12 @@ class Neighbourhood {
     HaloChunk::FlatBox box;  ///< in the own frame, grown for rounding
   };
   void find_near(float radius);
-  void gather_from(const HaloChunk& chunk, const HaloChunk::FlatBox& box, float radius, const Vec3d* shift, bool with_normals, Candidates& out);
+  void gather_from(const HaloChunk& chunk, const HaloChunk::FlatBox& box, float radius, const Vec3d* shift, Selection& out);
   std::shared_ptr<const HaloChunk> own_;
   Box3d own_bounds_;
   const Find& find_;
   HaloCache& cache_;
   std::vector<Near> near_;
-  Selection selection_;
   float near_radius_ = 0;    ///< near_ holds all leaves that come this close
 };
 

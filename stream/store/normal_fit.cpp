@@ -38,49 +38,44 @@ class NormalFitter {
  public:
   static constexpr bool kNeedsNormals = false, kFitsGroups = true;
   // The sixth neighbour is at 0.39 of the radius; this finds it for all but few points whose surroundings are sparser than the mean.
-  static constexpr float kNearShare = 0.6f;
+  static constexpr float kNearShare = 0.7f, kRunShare = 1.4f, kInnerShare = kScaleOfRadius[kScales - 1];
   NormalFitter(const HaloChunk& own, const FitOptions& options, std::vector<NormalFit>& fits) : own_(own), options_(options), fits_(fits) {}
 
-  bool fit_nearest(std::uint32_t, const std::array<float, kNearest>&, const CandidateView&, const Candidates&, float, float) { return false; }
-
-  /// What plane_of_scales() does, for the points of a group that have enough neighbours around them.
-  void fit_group(const SearchGroup& group, const CandidateView& view, std::array<bool, HaloChunk::kGroup>& fitted) {
-    for (std::uint32_t first = group.begin; first < group.end; first += kLanes) {
-      const std::uint32_t at = first - group.begin;
-      const EightPoints& points = group.points[at / kLanes];
-      const HaloChunk::FlatBox& box = group.boxes[at / kLanes];
-      const float most = *std::max_element(&group.radius[at], &group.radius[at] + kLanes);
-      select_near_box(view, box.min, box.max, square(most), wide_);
-      select_near_box(wide_.view(), box.min, box.max, square(kScaleOfRadius[kScales - 1] * most), narrow_);
-      EightMoments sums;
-      moments_of(narrow_.view(), points, limits(group, at, kScales - 1), sums);
-      const EightPlanes narrow = planes_of(sums);
-      moments_of(wide_.view(), points, limits(group, at, 0), sums);
-      EightPlanes planes = planes_of(sums);
-      const std::array<float, kLanes> number = sums.sum[kTerms - 1];
-      const auto as_flat = [&](std::size_t lane) { return planes.sure[lane] && planes.variance_off[lane] <= kPlaneGrowth * kPlaneGrowth * narrow.variance_off[lane]; };
-      unsigned rough = 0;
-      for (std::size_t lane = 0; lane < kLanes; ++lane) rough |= static_cast<unsigned>(!as_flat(lane)) << lane;
-      if (rough != 0) {
-        moments_of(wide_.view(), points, limits(group, at, 1), sums);
-        const EightPlanes middle = planes_of(sums);
-        for (std::size_t lane = 0; lane < kLanes; ++lane) {
-          if ((rough >> lane & 1) == 0) continue;
-          planes.take(lane, middle);
-          if (!as_flat(lane)) planes.take(lane, narrow);
-        }
+  /// What plane_of_scales() does, for the points of a group that have enough neighbours around them. Only `nearer` has those of the narrowest scale.
+  void fit_group(const SearchGroup& group, const CandidateView& nearer, const CandidateView& farther, std::array<bool, kLanes>& fitted) {
+    LaneMoments wide_sums, narrow_sums;
+    const LaneFloats wide_limits = limits(group, 0);
+    add_moments(nearer, group.points, wide_limits, limits(group, kScales - 1), wide_sums, narrow_sums);
+    add_moments(farther, group.points, wide_limits, wide_sums);
+    planes_of(narrow_sums, narrow_);
+    planes_of(wide_sums, planes_);
+    const auto as_flat = [&](std::size_t lane) { return planes_.sure[lane] && planes_.variance_off[lane] <= kPlaneGrowth * kPlaneGrowth * narrow_.variance_off[lane]; };
+    unsigned rough = 0;
+    for (std::size_t lane = 0; lane < kLanes; ++lane) rough |= static_cast<unsigned>(!as_flat(lane)) << lane;
+    if (rough != 0) {
+      LaneMoments sums;
+      const LaneFloats middle_limits = limits(group, 1);
+      add_moments(nearer, group.points, middle_limits, sums);
+      add_moments(farther, group.points, middle_limits, sums);
+      planes_of(sums, middle_);
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        if ((rough >> lane & 1) == 0) continue;
+        planes_.take(lane, middle_);
+        if (!as_flat(lane)) planes_.take(lane, narrow_);
       }
-      const EightNormals normals = normals_of(planes);
-      for (std::size_t lane = 0; lane < kLanes && first + lane < group.end; ++lane) {
-        const bool all = group.radius[at + lane] > 0 && number[lane] <= static_cast<float>(options_.most + 1);
-        if (!all || !narrow.sure[lane] || !normals.clear[lane]) continue;
-        fits_[first + lane] = {Vec3d(normals.x[lane], normals.y[lane], normals.z[lane]).cast<float>(), false};
-        fitted[at + lane] = true;
-      }
+    }
+    normals_of(planes_, normals_);
+    for (std::size_t lane = 0; lane < group.size(); ++lane) {
+      const bool all = group.radius[lane] > 0 && wide_sums.sum[kTerms - 1][lane] <= static_cast<float>(options_.most + 1);
+      if (!all || !narrow_.sure[lane] || !normals_.clear[lane]) continue;
+      fits_[group.begin + lane] = {Vec3d(normals_.x[lane], normals_.y[lane], normals_.z[lane]).cast<float>(), false};
+      fitted[lane] = true;
     }
   }
 
-  bool fit_near(std::uint32_t i, const std::array<float, kNearest>&, const CandidateView& view, const Candidates&, float radius) {
+  bool fit_near(const SearchGroup& group, std::size_t at, const CandidateView& view, const Selection&) {
+    const std::size_t i = group.begin + at;
+    const float radius = group.radius[at];
     collect_within(view, own_.x[i], own_.y[i], own_.z[i], radius * radius, row_);
     if (row_.num > options_.most) return false;
     const Plane plane = plane_of_scales([&](std::size_t s) { return moments_within(row_, radius * radius * kScaleOfRadius[s] * kScaleOfRadius[s]); });
@@ -89,7 +84,7 @@ class NormalFitter {
     return true;
   }
 
-  bool fit_one(std::uint32_t i, const NeighbourList& list, const Candidates&, bool last) {
+  bool fit_one(std::uint32_t i, const NeighbourList& list, const Selection&, bool last) {
     const Plane plane = plane_of_scales([&](std::size_t s) {
       Moments m{};
       for (std::size_t k = 0; k < list.size(); ++k) {
@@ -106,17 +101,20 @@ class NormalFitter {
   }
 
  private:
-  static float square(float v) { return v * v; }
-  static std::array<float, kLanes> limits(const SearchGroup& group, std::uint32_t at, std::size_t scale) {
-    std::array<float, kLanes> limit;
-    for (std::size_t lane = 0; lane < kLanes; ++lane) limit[lane] = group.radius[at + lane] > 0 ? square(kScaleOfRadius[scale] * group.radius[at + lane]) : -1;
+  static LaneFloats limits(const SearchGroup& group, std::size_t scale) {
+    LaneFloats limit;
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      const float radius = kScaleOfRadius[scale] * group.radius[lane];
+      limit[lane] = radius > 0 ? radius * radius : -1;
+    }
     return limit;
   }
 
   const HaloChunk& own_;
   const FitOptions& options_;
   std::vector<NormalFit>& fits_;
-  Selection wide_, narrow_;
+  LanePlanes narrow_, middle_, planes_;
+  LaneNormals normals_;
   NeighbourRow row_;
 };
 

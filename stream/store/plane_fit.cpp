@@ -48,85 +48,140 @@ Vec3d smallest_axis_of(const Mat3d& a, double root) {
 }
 
 // With the plane's three degrees of freedom taken off.
-CHIARO_INLINE double variance_share(double number) { return (number + 1) / std::max(1.0, number - 2); }
+double variance_share(double number) { return (number + 1) / std::max(1.0, number - 2); }
 
-// Four planes: what plane_of() does.
-CHIARO_INLINE void planes_of_half(const EightMoments& sums, std::size_t first, EightPlanes& out) {
-  HalfLanes m[kTerms];
-  for (std::size_t t = 0; t < kTerms; ++t)
-    for (std::size_t i = 0; i < 4; ++i) m[t][i] = static_cast<double>(sums.sum[t][first + i]);
-  const HalfLanes zero{}, number = m[9] - 1.0, share = 1.0 / m[9];
-  for (std::size_t t = 0; t < 9; ++t) m[t] *= share;
-  HalfLanes c[6] = {m[3] - m[0] * m[0], m[4] - m[0] * m[1], m[5] - m[0] * m[2], m[6] - m[1] * m[1], m[7] - m[1] * m[2], m[8] - m[2] * m[2]};
-  const HalfLanes scale = c[0] + c[3] + c[5], over = 1.0 / scale;
-  for (HalfLanes& v : c) v *= over;
-  const HalfLanes c1 = c[0] * c[3] - c[1] * c[1] + c[0] * c[5] - c[2] * c[2] + c[3] * c[5] - c[4] * c[4];
-  const HalfLanes c0 = c[0] * (c[3] * c[5] - c[4] * c[4]) - c[1] * (c[1] * c[5] - c[4] * c[2]) + c[2] * (c[1] * c[4] - c[3] * c[2]);
-  HalfLanes root = zero;
+// What eigenvalues_of() does for the smallest one, of all lanes side by side: a step waits for the one before. Each lane stops by itself, so that it does not
+// matter which are taken together.
+template <std::size_t N>
+CHIARO_INLINE void smallest_roots(const LanePlanes::Row& constant, const LanePlanes::Row& linear, LanePlanes::Row& roots) {
+  using Doubles = typename LaneTypes<N>::Doubles;
+  constexpr std::size_t kGroups = kLanes / N;
+  const Doubles zero{}, one = zero + 1.0;
+  Doubles c0[kGroups], c1[kGroups], root[kGroups] = {}, goes_on[kGroups];
+  for (std::size_t g = 0; g < kGroups; ++g) {
+    load(&constant[g * N], c0[g]);
+    load(&linear[g * N], c1[g]);
+    goes_on[g] = one;
+  }
   for (int i = 0; i < kMostSteps; ++i) {
-    const HalfLanes slope = c1 + root * (3.0 * root - 2.0);
-    const HalfLaneMask rising = slope > zero + kFlat;
-    HalfLanes step = (c0 - root * (c1 + root * (root - 1.0))) / slope;
-    step = rising ? step : zero;
-    root += step;
-    const HalfLaneMask going = step > kStepShare * root;
-    if ((going[0] | going[1] | going[2] | going[3]) == 0) break;
+    Doubles any = zero;
+    for (std::size_t g = 0; g < kGroups; ++g) {
+      const Doubles slope = c1[g] + root[g] * (3.0 * root[g] - 2.0);
+      Doubles step = (c0[g] - root[g] * (c1[g] + root[g] * (root[g] - 1.0))) / slope;
+      step = slope > zero + kFlat ? step : zero;
+      step *= goes_on[g];
+      root[g] += step;
+      goes_on[g] = step > kStepShare * root[g] ? one : zero;
+      any += goes_on[g];
+    }
+    double left[N], sum = 0;
+    store(any, left);
+    for (const double l : left) sum += l;
+    if (sum == 0) break;
   }
-  const HalfLanes sum = 1.0 - root, product = c1 - root * sum, discriminant = sum * sum - 4.0 * product;
-  for (std::size_t i = 0; i < 4; ++i) {
-    const double largest = 0.5 * (sum[i] + std::sqrt(std::max(0.0, discriminant[i])));
-    out.sure[first + i] = number[i] >= kEnoughForPlane && scale[i] > 0 && product[i] >= kLine * largest * largest;
-    out.variance_off[first + i] = std::max(0.0, root[i]) * scale[i] * variance_share(number[i]);
+  for (std::size_t g = 0; g < kGroups; ++g) store(root[g], &roots[g * N]);
+}
+
+// N planes: what plane_of() does up to the eigenvalues.
+template <std::size_t N>
+CHIARO_INLINE void covariances_of_some(const LaneMoments& sums, std::size_t first, LanePlanes& out, LanePlanes::Row& constant, LanePlanes::Row& linear) {
+  using Floats = typename LaneTypes<N>::Floats;
+  using Doubles = typename LaneTypes<N>::Doubles;
+  Doubles m[kTerms];
+  for (std::size_t t = 0; t < kTerms; ++t) {
+    Floats f;
+    load(&sums.sum[t][first], f);
+    m[t] = __builtin_convertvector(f, Doubles);
   }
-  store(root, &out.root[first]);
+  const Doubles share = 1.0 / m[9];
+  for (std::size_t t = 0; t < 9; ++t) m[t] *= share;
+  Doubles c[6] = {m[3] - m[0] * m[0], m[4] - m[0] * m[1], m[5] - m[0] * m[2], m[6] - m[1] * m[1], m[7] - m[1] * m[2], m[8] - m[2] * m[2]};
+  const Doubles scale = c[0] + c[3] + c[5], over = 1.0 / scale;
+  for (Doubles& v : c) v *= over;
+  const Doubles c1 = c[0] * c[3] - c[1] * c[1] + c[0] * c[5] - c[2] * c[2] + c[3] * c[5] - c[4] * c[4];
+  const Doubles c0 = c[0] * (c[3] * c[5] - c[4] * c[4]) - c[1] * (c[1] * c[5] - c[4] * c[2]) + c[2] * (c[1] * c[4] - c[3] * c[2]);
+  store(c0, &constant[first]);
+  store(c1, &linear[first]);
   store(scale, &out.scale[first]);
   for (std::size_t a = 0; a < 3; ++a) store(m[a], &out.mean[a][first]);
   for (std::size_t t = 0; t < 6; ++t) store(c[t], &out.covariance[t][first]);
 }
 
-CHIARO_INLINE void planes_body(const EightMoments& sums, EightPlanes& out) {
-  planes_of_half(sums, 0, out);
-  planes_of_half(sums, 4, out);
+// The rest of it.
+template <std::size_t N>
+CHIARO_INLINE void judge_some(const LaneMoments& sums, std::size_t first, const LanePlanes::Row& linear, LanePlanes& out) {
+  using Floats = typename LaneTypes<N>::Floats;
+  using Doubles = typename LaneTypes<N>::Doubles;
+  using Mask = typename LaneTypes<N>::DoubleMask;
+  Floats counted;
+  load(&sums.sum[9][first], counted);
+  Doubles root, scale, c1;
+  load(&out.root[first], root);
+  load(&out.scale[first], scale);
+  load(&linear[first], c1);
+  const Doubles zero{}, one = zero + 1.0, all = __builtin_convertvector(counted, Doubles), number = all - 1.0, freedom = number - 2.0, lowest = root > zero ? root : zero;
+  // Of two numbers with this sum and product, the smaller is at least kLine of the larger if product / sum^2 is at least kLine / (1 + kLine)^2.
+  const Doubles sum = 1.0 - root, product = c1 - root * sum, least = (kLine / ((1 + kLine) * (1 + kLine))) * sum * sum;
+  const Mask sure = (number >= zero + kEnoughForPlane) & (scale > zero) & (product >= least);
+  for (std::size_t k = 0; k < N; ++k) out.sure[first + k] = sure[k] != 0;
+  const Doubles variance_off = lowest * scale * (all / (freedom > one ? freedom : one));
+  store(variance_off, &out.variance_off[first]);
 }
 
-// Four normals: what normal_of() does.
-CHIARO_INLINE void normals_of_half(const EightPlanes& planes, std::size_t first, EightNormals& out) {
-  HalfLanes c[6], root;
+// N normals: what normal_of() does, but for their length.
+template <std::size_t N>
+CHIARO_INLINE void normals_of_some(const LanePlanes& planes, std::size_t first, LaneNormals& out) {
+  using Doubles = typename LaneTypes<N>::Doubles;
+  using Mask = typename LaneTypes<N>::DoubleMask;
+  Doubles c[6], root, mean[3], scale;
   for (std::size_t t = 0; t < 6; ++t) load(&planes.covariance[t][first], c[t]);
+  for (std::size_t a = 0; a < 3; ++a) load(&planes.mean[a][first], mean[a]);
   load(&planes.root[first], root);
-  const HalfLanes xx = c[0] - root, yy = c[3] - root, zz = c[5] - root;
+  load(&planes.scale[first], scale);
+  const Doubles xx = c[0] - root, yy = c[3] - root, zz = c[5] - root;
   // Products of two columns lie along the axis; the longest is the surest.
-  const HalfLanes products[3][3] = {{c[1] * c[4] - c[2] * yy, c[2] * c[1] - xx * c[4], xx * yy - c[1] * c[1]},
-                                    {c[1] * zz - c[2] * c[4], c[2] * c[2] - xx * zz, xx * c[4] - c[1] * c[2]},
-                                    {yy * zz - c[4] * c[4], c[4] * c[2] - c[1] * zz, c[1] * c[4] - yy * c[2]}};
-  HalfLanes x{}, y{}, z{}, best = HalfLanes{} - 1.0;
+  const Doubles products[3][3] = {{c[1] * c[4] - c[2] * yy, c[2] * c[1] - xx * c[4], xx * yy - c[1] * c[1]},
+                                  {c[1] * zz - c[2] * c[4], c[2] * c[2] - xx * zz, xx * c[4] - c[1] * c[2]},
+                                  {yy * zz - c[4] * c[4], c[4] * c[2] - c[1] * zz, c[1] * c[4] - yy * c[2]}};
+  Doubles x{}, y{}, z{}, best = Doubles{} - 1.0;
   for (const auto& p : products) {
-    const HalfLanes squared = p[0] * p[0] + p[1] * p[1] + p[2] * p[2];
-    const HalfLaneMask longer = squared > best;
+    const Doubles squared = p[0] * p[0] + p[1] * p[1] + p[2] * p[2];
+    const Mask longer = squared > best;
     x = longer ? p[0] : x;
     y = longer ? p[1] : y;
     z = longer ? p[2] : z;
     best = longer ? squared : best;
   }
-  for (std::size_t i = 0; i < 4; ++i) {
-    const double over = 1 / std::sqrt(best[i]), nx = x[i] * over, ny = y[i] * over, nz = z[i] * over;
-    const double outwards = -(nx * planes.mean[0][first + i] + ny * planes.mean[1][first + i] + nz * planes.mean[2][first + i]);
-    const bool flip = std::abs(outwards) > kOutwards * std::sqrt(planes.scale[first + i]) ? outwards < 0 : nz < 0;
-    out.x[first + i] = flip ? -nx : nx;
-    out.y[first + i] = flip ? -ny : ny;
-    out.z[first + i] = flip ? -nz : nz;
-    out.clear[first + i] = best[i] > kClear;
-  }
+  const Doubles zero{}, outwards = -(x * mean[0] + y * mean[1] + z * mean[2]);
+  const Doubles side = outwards * outwards > (kOutwards * kOutwards) * scale * best ? outwards : z;
+  x = side < zero ? -x : x;
+  y = side < zero ? -y : y;
+  z = side < zero ? -z : z;
+  double length_squared[N];
+  store(best, length_squared);
+  for (std::size_t k = 0; k < N; ++k) out.clear[first + k] = length_squared[k] > kClear;
+  store(x, &out.x[first]);
+  store(y, &out.y[first]);
+  store(z, &out.z[first]);
 }
 
-CHIARO_INLINE void normals_body(const EightPlanes& planes, EightNormals& out) {
-  normals_of_half(planes, 0, out);
-  normals_of_half(planes, 4, out);
+template <std::size_t N>
+CHIARO_INLINE void planes_body(const LaneMoments& sums, LanePlanes& out) {
+  LanePlanes::Row constant, linear;
+  for (std::size_t first = 0; first < kLanes; first += N) covariances_of_some<N>(sums, first, out, constant, linear);
+  smallest_roots<N>(constant, linear, out.root);
+  for (std::size_t first = 0; first < kLanes; first += N) judge_some<N>(sums, first, linear, out);
+}
+template <std::size_t N>
+CHIARO_INLINE void normals_body(const LanePlanes& planes, LaneNormals& out) {
+  for (std::size_t first = 0; first < kLanes; first += N) normals_of_some<N>(planes, first, out);
 }
 
 #if defined(CHIARO_AVX2)
-CHIARO_AVX2 void planes_avx2(const EightMoments& sums, EightPlanes& out) { planes_body(sums, out); }
-CHIARO_AVX2 void normals_avx2(const EightPlanes& planes, EightNormals& out) { normals_body(planes, out); }
+CHIARO_AVX2 void planes_avx2(const LaneMoments& sums, LanePlanes& out) { planes_body<4>(sums, out); }
+CHIARO_AVX2 void normals_avx2(const LanePlanes& planes, LaneNormals& out) { normals_body<4>(planes, out); }
+CHIARO_AVX512 void planes_avx512(const LaneMoments& sums, LanePlanes& out) { planes_body<8>(sums, out); }
+CHIARO_AVX512 void normals_avx512(const LanePlanes& planes, LaneNormals& out) { normals_body<8>(planes, out); }
 #endif
 
 }  // namespace
@@ -172,7 +227,7 @@ NormalFit normal_of(const Plane& plane) {
   return fit;
 }
 
-void EightPlanes::take(std::size_t lane, const EightPlanes& from) {
+void LanePlanes::take(std::size_t lane, const LanePlanes& from) {
   sure[lane] = from.sure[lane];
   variance_off[lane] = from.variance_off[lane];
   root[lane] = from.root[lane];
@@ -181,28 +236,20 @@ void EightPlanes::take(std::size_t lane, const EightPlanes& from) {
   for (std::size_t t = 0; t < covariance.size(); ++t) covariance[t][lane] = from.covariance[t][lane];
 }
 
-EightPlanes planes_of(const EightMoments& sums) {
-  EightPlanes planes;
+void planes_of(const LaneMoments& sums, LanePlanes& planes) {
 #if defined(CHIARO_AVX2)
-  if (wide_vectors()) {
-    planes_avx2(sums, planes);
-    return planes;
-  }
+  if (vector_width() == VectorWidth::kAvx512) return planes_avx512(sums, planes);
+  if (vector_width() == VectorWidth::kAvx2) return planes_avx2(sums, planes);
 #endif
-  planes_body(sums, planes);
-  return planes;
+  planes_body<4>(sums, planes);
 }
 
-EightNormals normals_of(const EightPlanes& planes) {
-  EightNormals normals;
+void normals_of(const LanePlanes& planes, LaneNormals& normals) {
 #if defined(CHIARO_AVX2)
-  if (wide_vectors()) {
-    normals_avx2(planes, normals);
-    return normals;
-  }
+  if (vector_width() == VectorWidth::kAvx512) return normals_avx512(planes, normals);
+  if (vector_width() == VectorWidth::kAvx2) return normals_avx2(planes, normals);
 #endif
-  normals_body(planes, normals);
-  return normals;
+  normals_body<4>(planes, normals);
 }
 
 }  // namespace chiaro::stream

@@ -26,22 +26,22 @@ Plane plane_of(const Moments& sums);
 /// Its normal, away from the neighbours' centroid.
 NormalFit normal_of(const Plane& plane);
 
-/// Planes through eight points and their neighbours, each.
-struct EightPlanes {
+/// Planes through each of many points and its neighbours.
+struct LanePlanes {
   using Row = std::array<double, kLanes>;
   std::array<bool, kLanes> sure;   ///< enough neighbours, and not on a line
   Row variance_off, root, scale;   ///< root: smallest eigenvalue of the covariance over its trace, scale
   std::array<Row, 3> mean;
   std::array<Row, 6> covariance;   ///< over scale: xx xy xz yy yz zz
-  void take(std::size_t lane, const EightPlanes& from);
+  void take(std::size_t lane, const LanePlanes& from);
 };
 inline constexpr double kEnoughForPlane = 6;
-EightPlanes planes_of(const EightMoments& sums);
+void planes_of(const LaneMoments& sums, LanePlanes& planes);
 /// Where it is not clear, which is rare, the general solver has to decide.
-struct EightNormals {
-  std::array<double, kLanes> x, y, z;
+struct LaneNormals {
+  std::array<double, kLanes> x, y, z;   ///< of any length where clear
   std::array<bool, kLanes> clear;
 };
-EightNormals normals_of(const EightPlanes& planes);
+void normals_of(const LanePlanes& planes, LaneNormals& normals);
 
 }  // namespace chiaro::stream

@@ -6,6 +6,7 @@
 #include "stream/store/neighbour_walk.h"
 #include "stream/store/plane_fit.h"
 #include "stream/store/tangent_cell.h"
+#include "stream/store/tangent_kernels.h"
 
 namespace chiaro::stream {
 namespace {
@@ -15,24 +16,37 @@ class RadiusFitter {
   RadiusFitter(const HaloChunk& own, const FitOptions& options, std::vector<RadiusFit>& fits) : own_(own), options_(options), fits_(fits) {}
 
   static constexpr bool kNeedsNormals = true, kFitsGroups = false;
-  static constexpr float kNearShare = 0.85f;
+  static constexpr float kNearShare = 1.05f, kRunShare = 1.2f;
 
   // The nearest of the neighbours settle most cells: what is further than twice the farthest corner cuts nothing.
-  bool fit_nearest(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const CandidateView& view, const Candidates& c, float radius, float near) {
-    const float reach = std::min(near, kNearShare * radius);
-    collect_within(view, own_.x[i], own_.y[i], own_.z[i], reach * reach, row_);
-    return row_.num <= options_.most * 7 / 10 && fit_inside(i, nearest_squared, c, radius, reach);
+  void fit_nearest(const SearchGroup& group, const CandidateView& view, float near, std::array<bool, kLanes>& fitted) {
+    std::array<float, kLanes> reach{};
+    // All lines first, then all cells: what has just been written in pieces is slow to read as a whole.
+    for (std::size_t at = 0; at < group.size(); ++at) {
+      if (group.radius[at] == 0) continue;
+      const float radius = std::min(near, group.radius[at]);
+      reach[at] = group.radius[at] <= near ? kAllNeighbours : near;
+      if (!make_lines(group, at, view, radius, lines_[at]) || lines_[at].num > options_.most) reach[at] = 0;
+    }
+    for (std::size_t at = 0; at < group.size(); ++at)
+      if (reach[at] > 0) start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
+    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = reach[at] > 0 && fit_inside(group, at, reach[at], false);
   }
 
-  bool fit_near(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const CandidateView& view, const Candidates& c, float radius) {
+  bool fit_near(const SearchGroup& group, std::size_t at, const CandidateView& view, const Selection& c) {
+    const std::size_t i = group.begin + at;
+    const float radius = group.radius[at];
     collect_within(view, own_.x[i], own_.y[i], own_.z[i], radius * radius, row_);
     if (row_.num > options_.most) return false;
-    if (fit_inside(i, nearest_squared, c, radius, kAllNeighbours)) return true;
-    make_list(nearest_squared, radius);
-    return fit_one(i, list_, c, false);
+    if (make_lines(group, at, view, radius, lines_[at])) {
+      start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
+      if (fit_inside(group, at, kAllNeighbours, true)) return true;
+    }
+    make_list(group, at);
+    return fit_one(static_cast<std::uint32_t>(i), list_, c, false);
   }
 
-  bool fit_one(std::uint32_t i, const NeighbourList& list, const Candidates& c, bool last) {
+  bool fit_one(std::uint32_t i, const NeighbourList& list, const Selection& c, bool last) {
     if (!last && list.size() >= 3 && is_line(list)) return false;
     const float mean = mean_distance(list.nearest_squared);
     if (is_outlier(i, list)) fits_[i] = {std::min(mean, options_.lone_radius), mean, true};
@@ -59,23 +73,31 @@ class RadiusFitter {
     return height * height > 0.1f * list.nearest_squared[kNearest - 1];
   }
 
+  // False for what fit_inside() is not for.
+  bool make_lines(const SearchGroup& group, std::size_t at, const CandidateView& view, float reach, TangentLines& lines) const {
+    const std::size_t i = group.begin + at;
+    const float edge_reach = kEdgeReach * group.mean[at];
+    if ((own_.flags[i] & SurfelBlock::kIsolated) || edge_reach > reach) return false;
+    return lines.make(view, own_.x[i], own_.y[i], own_.z[i], reach * reach, frame_of(i, edge_reach)) && lines.num >= kNearest;
+  }
+
+  // Along scan lines the nearest are much closer than the next line: the search radius knows.
+  float scale_of(const SearchGroup& group, std::size_t at) const {
+    const float radius = group.radius[at];
+    return std::max(group.mean[at], radius < options_.max_radius ? radius / static_cast<float>(options_.radius_spacings) : 0.0f);
+  }
+
   // What nearly all points are: amid a smooth surface, their cell closed by neighbours on all sides. False for all others, and if the neighbours within
-  // `reach`, which are in the row, do not tell.
-  bool fit_inside(std::uint32_t i, const std::array<float, kNearest>& nearest_squared, const Candidates& c, float radius, float reach) {
-    if ((own_.flags[i] & SurfelBlock::kIsolated) || row_.num < kNearest) return false;
-    const float mean = mean_distance(nearest_squared);
-    if (kEdgeReach * mean > reach) return false;
-    const float scale = std::max(mean, radius < options_.max_radius ? radius / static_cast<float>(options_.radius_spacings) : 0.0f);
-    const Vec3f normal(own_.nx[i], own_.ny[i], own_.nz[i]), u = across(normal), v = normal.cross(u);
-    TangentFrame frame{{normal.x(), normal.y(), normal.z()}, {u.x(), u.y(), u.z()}, {v.x(), v.y(), v.z()}, (own_.flags[i] & SurfelBlock::kOriented) != 0, kEdgeReach * mean, kOtherFace};
-    normals_.take(c.nx.data(), c.ny.data(), c.nz.data(), c.flags.data(), row_);
-    if (!lines_.make(row_, normals_, frame)) return false;  // an edge is near
-    const float half = 3 * scale;
+  // `reach`, of whose lines the cell was started, do not tell.
+  bool fit_inside(const SearchGroup& group, std::size_t at, float reach, bool may_be_open) {
+    const std::size_t i = group.begin + at;
+    const float mean = group.mean[at], scale = scale_of(group, at);
     bool open = false;
-    const float within = farthest_corner(half, scale, reach, open);
+    const float within = farthest_corner(lines_[at], cells_[at], 3 * scale, scale, reach, open);
     if (!(within > 0)) return false;
     if (open) {
-      make_list(nearest_squared, radius);
+      if (!may_be_open) return false;
+      make_list(group, at);
       if (is_line(list_)) return false;
     }
     fits_[i] = RadiusFit{};
@@ -84,82 +106,52 @@ class RadiusFitter {
     return true;
   }
 
+  // Two unit vectors across the normal. source: Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 2017.
+  TangentFrame frame_of(std::size_t i, float edge_reach) const {
+    const float x = own_.nx[i], y = own_.ny[i], z = own_.nz[i], sign = std::copysign(1.0f, z), a = -1 / (sign + z), b = x * y * a;
+    return {{x, y, z}, {1 + sign * x * x * a, sign * b, -sign * x}, {b, sign + y * y * a, -y}, (own_.flags[i] & SurfelBlock::kOriented) != 0, edge_reach, kOtherFace};
+  }
+
   static float disc_radius(float within, float scale, bool open) {
     if (!open) return std::min(1.1f * within, 3 * scale);
     return std::clamp(1.1f * within, 0.75f * scale, std::max(1.1f * within, scale));
   }
 
-  // Corners of a cell: the two lines that meet, counter-clockwise, where, and the squared distance.
-  struct CellCorners {
-    static constexpr std::size_t kMost = 64;
-    std::array<float, kMost> ax, ay, bx, by, x, y, squared;
-    std::size_t size = 0;
-    void set(std::size_t at, float ax_, float ay_, float bx_, float by_) {
-      const float cross = ax_ * by_ - ay_ * bx_;
-      ax[at] = ax_;
-      ay[at] = ay_;
-      bx[at] = bx_;
-      by[at] = by_;
-      x[at] = (by_ - ay_) / cross;
-      y[at] = (ax_ - bx_) / cross;
-      squared[at] = cross > 0 ? x[at] * x[at] + y[at] * y[at] : std::numeric_limits<float>::infinity();
-    }
-    std::size_t farthest() const {
-      std::size_t at = 0;
-      for (std::size_t i = 1; i < size; ++i) at = squared[i] > squared[at] ? i : at;
-      return at;
-    }
-  };
-
   // Distance of the farthest corner of the Voronoi cell in the tangent plane, of those that lie inside the surface; open: there are others. 0 if the cell is not
-  // closed by neighbours, or cannot be told from those within `reach`. Eight lines make a cell that is too large; its corners are cut, the farthest first,
-  // until those that matter are right.
-  float farthest_corner(float half, float scale, float reach, bool& open) {
-    const EightLines lines = nearest_lines(lines_.wx.data(), lines_.wy.data(), row_.num, half);
-    CellCorners c;
-    for (std::size_t k = 0; k < 8; ++k) {
-      c.ax[k] = lines.x[k];
-      c.ay[k] = lines.y[k];
-      c.bx[k] = lines.x[k + 1];
-      c.by[k] = lines.y[k + 1];
-      c.x[k] = lines.corner_x[k];
-      c.y[k] = lines.corner_y[k];
-      c.squared[k] = lines.corner_squared[k];
-    }
-    c.size = 8;
-    float within = 0;
+  // closed by neighbours, or cannot be told from those within `reach`. The started cell is too large; its corners are cut, the farthest first, until the farthest
+  // is right: all others are nearer then.
+  static float farthest_corner(const TangentLines& lines, CellCorners& c, float half, float scale, float reach, bool& open) {
     for (;;) {
       const std::size_t at = c.farthest();
-      if (c.squared[at] < 0 || (within > 0 && c.squared[at] <= scale * scale)) return within;
-      if (!std::isfinite(c.squared[at])) return 0;
-      const float x = c.x[at], y = c.y[at];
-      const std::size_t cut = line_before(lines_.wx.data(), lines_.wy.data(), row_.num, x, y);
-      if (cut < row_.num) {
+      const float squared = c.squared[at], x = c.x[at], y = c.y[at];
+      if (!(squared >= 0 && std::isfinite(squared))) return 0;
+      const std::size_t cut = lines.line_before(x, y);
+      if (cut < lines.num) {
         if (c.size == CellCorners::kMost) return 0;
-        const float wx = lines_.wx[cut], wy = lines_.wy[cut];
+        const float wx = lines.wx[cut], wy = lines.wy[cut];
         c.set(c.size++, wx, wy, c.bx[at], c.by[at]);
         c.set(at, c.ax[at], c.ay[at], wx, wy);
         continue;
       }
-      const float d = std::sqrt(c.squared[at]);
+      const float d = std::sqrt(squared);
       if (std::max(std::abs(x), std::abs(y)) >= 0.9999f * half || 2 * d > reach) return 0;
-      if (d <= scale || lines_.is_beyond(x / d, y / d, d, row_.num)) within = std::max(within, d);
-      else if (reach < kAllNeighbours) return 0;
-      else open = true;
+      if (d <= scale || lines.is_beyond(x / d, y / d, d)) return d;
+      if (reach < kAllNeighbours) return 0;
+      open = true;
       c.squared[at] = -1;  // done
     }
   }
 
   // The nearest first: they settle most of the cell.
-  void make_list(const std::array<float, kNearest>& nearest_squared, float radius) {
-    list_.nearest_squared = nearest_squared;
+  void make_list(const SearchGroup& group, std::size_t at_point) {
+    list_.nearest_squared = group.nearest_of(at_point);
     list_.resize(row_.num);
-    const float near = nearest_squared[kNearest - 1];
+    const float near = list_.nearest_squared[kNearest - 1];
     std::size_t at = 0;
     for (const bool first : {true, false})
       for (std::size_t k = 0; k < row_.num; ++k)
         if ((row_.distance_squared[k] <= near) == first) list_.set(at++, row_.x[k], row_.y[k], row_.z[k], row_.distance_squared[k], row_.candidate[k]);
-    list_.radius = radius;
+    list_.radius = group.radius[at_point];
     list_.total = row_.num;
   }
 
@@ -177,17 +169,17 @@ class RadiusFitter {
     Vec3f normal;
     bool oriented;
     // Not on another face of an edge, on the other side of a thin wall, or far off the plane.
-    bool holds(const Vec3f& offset, float distance_squared, std::uint32_t j, const Candidates& c) const {
+    bool holds(const Vec3f& offset, float distance_squared, std::uint32_t j, const Selection& c) const {
       const float height = normal.dot(offset);
       if (4 * height * height > distance_squared) return false;
       const float cosine = normal.dot(Vec3f(c.nx[j], c.ny[j], c.nz[j]));
-      return (oriented && (c.flags[j] & SurfelBlock::kOriented) ? cosine : std::abs(cosine)) >= 0.5f;
+      return (oriented && c.oriented[j] != 0 ? cosine : std::abs(cosine)) >= 0.5f;
     }
   };
 
   // The nearest other face: the plane through those neighbours, within kEdgeReach mean distances, whose normals agree with the nearest one's that is turned
   // away from the point's. The disc ends where it meets that plane, unless its own face goes on behind it.
-  void clip_at_edge(std::uint32_t i, const NeighbourList& list, const Candidates& c) {
+  void clip_at_edge(std::uint32_t i, const NeighbourList& list, const Selection& c) {
     constexpr float kSameFace = 0.9f, kBehind = 0.6f, kMargin = 0.1f;
     const float mean = fits_[i].mean_of_nearest;
     const Vec3f normal = own_normal(i);
@@ -235,12 +227,12 @@ class RadiusFitter {
 
   Vec3f own_normal(std::uint32_t i) const { return {own_.nx[i], own_.ny[i], own_.nz[i]}; }
 
-  static Vec3f normal_of(const NeighbourList& list, std::size_t k, const Candidates& c) {
+  static Vec3f normal_of(const NeighbourList& list, std::size_t k, const Selection& c) {
     const std::uint32_t j = list.candidate[k];
     return {c.nx[j], c.ny[j], c.nz[j]};
   }
 
-  float fit(std::uint32_t i, const NeighbourList& list, const Candidates& c) {
+  float fit(std::uint32_t i, const NeighbourList& list, const Selection& c) {
     const float mean = mean_distance(list.nearest_squared);
     if (list.size() == 0) return options_.lone_radius;
     if (list.size() < 3 || (own_.flags[i] & SurfelBlock::kIsolated)) return std::min(mean, options_.lone_radius);
@@ -290,13 +282,13 @@ class RadiusFitter {
     }
   }
 
-  static bool few_on_face(const Face& face, const NeighbourList& list, const Candidates& c) {
+  static bool few_on_face(const Face& face, const NeighbourList& list, const Selection& c) {
     int on_face = 0;
     for (std::size_t k = 0; k < list.size(); ++k) on_face += face.holds(list.offset(k), list.distance_squared[k], list.candidate[k], c);
     return on_face < 5;
   }
 
-  TangentCell cell_of(const Face& face, const NeighbourList& list, const Candidates& c, float scale, bool use_all) const {
+  TangentCell cell_of(const Face& face, const NeighbourList& list, const Selection& c, float scale, bool use_all) const {
     TangentCell cell(3 * scale);
     for (std::size_t k = 0; k < list.size(); ++k) {
       const float distance_squared = list.distance_squared[k];
@@ -313,8 +305,8 @@ class RadiusFitter {
   const FitOptions& options_;
   std::vector<RadiusFit>& fits_;
   NeighbourRow row_;
-  NeighbourNormals normals_;
-  TangentLines lines_;
+  std::array<TangentLines, kLanes> lines_;
+  std::array<CellCorners, kLanes> cells_;
   NeighbourList list_;
   std::vector<float> tangent_u_, tangent_v_;
 };

@@ -102,7 +102,7 @@ std::array<std::uint64_t, 3> place_in_root(const RootCube& root, const PositionG
 }
 
 // Stable; nearly always there are two or three.
-void sort_by_key(std::span<SpillRecord> records) {
+void sort_few(std::span<SpillRecord> records) {
   const auto before = [](const SpillRecord& a, const SpillRecord& b) { return a.key() < b.key(); };
   if (records.size() > 32) return std::stable_sort(records.begin(), records.end(), before);
   for (std::size_t i = 1; i < records.size(); ++i)
@@ -277,13 +277,10 @@ std::uint64_t spill_bytes_per_point(int axis_bits, std::uint64_t points, bool ha
   return static_cast<std::uint64_t>((bits + 7) / 8);
 }
 
-std::vector<SpillRecord> sorted_by_key(std::vector<SpillRecord> records) {
-  struct Item {
-    std::uint64_t window;
-    std::uint32_t index, unused;
-  };
+void sort_by_key(std::vector<SpillRecord>& records, SortRoom& room) {
+  using Item = SortRoom::Item;
   const std::size_t n = records.size();
-  if (n < 2) return records;
+  if (n < 2) return;
   MortonKey low = records[0].key(), high = low;
   for (const SpillRecord& r : records) {
     low = std::min(low, r.key());
@@ -295,7 +292,9 @@ std::vector<SpillRecord> sorted_by_key(std::vector<SpillRecord> records) {
   const auto differ_high = static_cast<std::uint64_t>(differ >> 64), differ_low = static_cast<std::uint64_t>(differ);
   const int top = differ_high != 0 ? 128 - std::countl_zero(differ_high) : 64 - std::countl_zero(differ_low);
   const int shift = std::max(0, top - kDigit * kPasses);
-  std::vector<Item> items(n), other(n);
+  std::vector<Item>&items = room.items, &other = room.other;
+  items.resize(n);
+  other.resize(n);
   std::array<std::array<std::uint32_t, 1 << kDigit>, kPasses> counts{};
   const auto digit = [](const Item& item, int pass) { return item.window >> (kDigit * pass) & ((1 << kDigit) - 1); };
   for (std::size_t i = 0; i < n; ++i) {
@@ -310,16 +309,16 @@ std::vector<SpillRecord> sorted_by_key(std::vector<SpillRecord> records) {
     for (const Item& item : items) other[start[digit(item, pass)]++] = item;
     items.swap(other);
   }
-  std::vector<Item>().swap(other);
-  std::vector<SpillRecord> sorted(n);
+  std::vector<SpillRecord>& sorted = room.sorted;
+  sorted.resize(n);
   for (std::size_t i = 0; i < n; ++i) sorted[i] = records[items[i].index];
   for (std::size_t i = 0; i < n && shift > 0;) {
     std::size_t end = i + 1;
     while (end < n && items[end].window == items[i].window) ++end;
-    sort_by_key(std::span(sorted).subspan(i, end - i));
+    sort_few(std::span(sorted).subspan(i, end - i));
     i = end;
   }
-  return sorted;
+  records.swap(sorted);
 }
 
 }  // namespace chiaro::stream

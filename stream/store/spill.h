@@ -82,7 +82,16 @@ void read_page(const File& file, const SpillPage& page, const RootCube& root, st
 /// Bytes that pages of many points need at most for each, headers aside: `axis_bits` of the three coordinates together.
 std::uint64_t spill_bytes_per_point(int axis_bits, std::uint64_t points, bool has_colour, bool colour_is_16_bit, bool has_normal);
 
-/// Sorts by key; equal keys keep their order. scratch memory: 32 B a record beside the result.
-std::vector<SpillRecord> sorted_by_key(std::vector<SpillRecord> records);
+/// Room that sorting needs beside the records, 64 B each; kept from one call to the next, since fresh pages cost as much as the sorting.
+struct SortRoom {
+  struct Item {
+    std::uint64_t window;
+    std::uint32_t index, unused;
+  };
+  std::vector<Item> items, other;
+  std::vector<SpillRecord> sorted;
+};
+/// Sorts by key; equal keys keep their order.
+void sort_by_key(std::vector<SpillRecord>& records, SortRoom& room);
 
 }  // namespace chiaro::stream

@@ -20,7 +20,7 @@ struct FitOptions {
 };
 
 struct NormalFit {
-  Vec3f normal = Vec3f::UnitZ();
+  Vec3f normal = Vec3f::UnitZ();  ///< of any length
   bool isolated = false;         ///< fewer than 3 neighbours, or all on a line: the normal is a guess
 };
 

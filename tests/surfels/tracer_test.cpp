@@ -7,6 +7,7 @@
 #include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/base/rng.h"
+#include "surfels/disc_block.h"
 #include "tests/support/sampled_surface.h"
 
 namespace chiaro::surfels {
@@ -109,6 +110,32 @@ TEST(Tracer, DoesNotDependOnTheOrderOfChunks) {
     EXPECT_EQ(ha.normal, hb.normal);
     EXPECT_EQ(ha.surfel, hb.surfel);
   }
+}
+
+TEST(Tracer, TheProcessorChangesNoBit) {
+  const ScratchFolder folder;
+  std::vector<tests::SampledPoint> points = square_points(90, 1.5, {5, 5, 3}, {0.6, 0, 0.8}, 1);   // two faces that meet: some discs are clipped
+  for (const auto& p : square_points(90, 1.5, {5, 5, 3}, {-0.8, 0, 0.6}, 2)) points.push_back(p);
+  const stream::Store store = build_test_store(points, folder.path(), 4096);
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, {5, 5, 0});
+  std::vector<std::array<float, 6>> answers[2];
+  std::size_t hits = 0;
+  for (const bool wide : {true, false}) {
+    use_wide_discs(wide);
+    for (std::uint64_t i = 0; i < 20000; ++i) {
+      const auto u = uniform01x4(9, Purpose::kTest, i, 0);
+      const float far = i % 4 == 0 ? 3000.0f : 2.0f;
+      const Vec3f d = random_direction(i), from = Vec3f(1.4f * u[0] - 0.7f, 1.4f * u[1] - 0.7f, 2.3f + 1.4f * u[2]) - far * d;
+      Hit hit;
+      const bool met = tracer.closest({from, d, 0, 1e30f}, hit);
+      hits += met;
+      answers[wide].push_back({met ? hit.t : -1, met ? hit.normal.x() : 0, met ? hit.radius : 0, met ? hit.back : 0, met ? static_cast<float>(hit.surfel.packed() % 65536) : 0, tracer.occluded({from, d, 0, far}) ? 1.0f : 0.0f});
+    }
+  }
+  use_wide_discs(true);
+  EXPECT_GT(hits, 10000u);
+  EXPECT_TRUE(answers[0] == answers[1]);
 }
 
 TEST(Tracer, BlendsWithWeightsThatSumToOne) {

@@ -217,10 +217,13 @@ TEST(Build, TheProcessorChangesNoByte) {
   MemoryCloud cloud = sphere_cloud(40000, 1.0, 0.0003);
   for (std::size_t i = 0; i < 20000; ++i) cloud.position.push_back({uniform(i, 0) - 0.5, uniform(i, 1) - 0.5, 0.3});  // edges where it cuts the sphere
   build(cloud, scratch.path() / "wide.chiaro", 4096);
-  use_wide_vectors(false);
-  build(cloud, scratch.path() / "narrow.chiaro", 4096);
-  use_wide_vectors(true);
-  EXPECT_TRUE(bytes_of(scratch.path() / "wide.chiaro") == bytes_of(scratch.path() / "narrow.chiaro"));
+  for (const VectorWidth width : {VectorWidth::kPlain, VectorWidth::kAvx2}) {
+    limit_vectors(width);
+    const fs::path out = scratch.path() / concat("narrow", static_cast<int>(width), ".chiaro");
+    build(cloud, out, 4096);
+    EXPECT_TRUE(bytes_of(scratch.path() / "wide.chiaro") == bytes_of(out)) << static_cast<int>(width);
+  }
+  limit_vectors(VectorWidth::kAvx512);
 }
 
 TEST(Build, APreviewNeedsNoNeighbours) {

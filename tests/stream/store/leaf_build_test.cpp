@@ -204,7 +204,9 @@ TEST(Spill, PagesGiveBackWhatWasWritten) {
 
 TEST(Spill, SortingKeepsTheOrderOfEqualKeys) {
   auto records = records_with_duplicates(5000, 3000);
-  const auto sorted = sorted_by_key(records);
+  std::vector<SpillRecord> sorted = records;
+  SortRoom room;
+  sort_by_key(sorted, room);
   for (std::size_t i = 1; i < sorted.size(); ++i) {
     ASSERT_TRUE(sorted[i - 1].key() <= sorted[i].key());
     ASSERT_TRUE(sorted[i - 1].key() != sorted[i].key() || sorted[i - 1].source() < sorted[i].source());

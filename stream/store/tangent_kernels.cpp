@@ -1,0 +1,352 @@
+#include "stream/store/tangent_kernels.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "stream/store/lanes.h"
+
+namespace chiaro::stream {
+namespace {
+
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+constexpr float kBeyond = 1.00001f;
+
+template <class Mask>
+CHIARO_INLINE bool any_of(const Mask& mask) {
+  std::uint64_t words[sizeof(Mask) / 8], all = 0;
+  __builtin_memcpy(words, &mask, sizeof mask);
+  for (const std::uint64_t word : words) all |= word;
+  return all != 0;
+}
+
+template <class Floats>
+CHIARO_INLINE void absolute_of(const Floats& v, Floats& out) {
+  out = v < Floats{} ? -v : v;
+}
+
+// What the bodies below compute for a neighbour; with the same operations in the same order.
+bool lines_plain(const CandidateView& c, float px, float py, float pz, float limit, const TangentFrame& f, TangentLines& out) {
+  const float reach = f.edge_reach * f.edge_reach;
+  bool edge = false;
+  std::size_t n = 0;
+  for (std::size_t k = 0; k < c.num; ++k) {
+    const float x = c.x[k] - px, y = c.y[k] - py, z = c.z[k] - pz, d = x * x + y * y + z * z;
+    if (!(d <= limit && d > 0)) continue;
+    const float cosine = f.normal[0] * c.nx[k] + f.normal[1] * c.ny[k] + f.normal[2] * c.nz[k], size = std::abs(cosine);
+    edge |= size < f.other_face && d <= reach;
+    const float towards = f.oriented && c.oriented[k] != 0 ? cosine : size, height = f.normal[0] * x + f.normal[1] * y + f.normal[2] * z;
+    const bool holds = 4 * height * height <= d && towards >= 0.5f;
+    const float over = 2 / d;
+    out.u[n] = f.u[0] * x + f.u[1] * y + f.u[2] * z;
+    out.v[n] = f.v[0] * x + f.v[1] * y + f.v[2] * z;
+    out.wx[n] = holds ? out.u[n] * over : 0;
+    out.wy[n] = holds ? out.v[n] * over : 0;
+    ++n;
+  }
+  out.num = n;
+  return !edge;
+}
+
+template <std::size_t N>
+CHIARO_INLINE bool beyond_body(const TangentLines& lines, float x, float y, float distance) {
+  using Floats = typename LaneTypes<N>::Floats;
+  typename LaneTypes<N>::Mask found{};
+  const Floats far = Floats{} + distance;
+  for (std::size_t k = 0; k < lines.num; k += N) {
+    Floats u, v, aside;
+    load(&lines.u[k], u);
+    load(&lines.v[k], v);
+    absolute_of(v * x - u * y, aside);
+    found |= (u * x + v * y >= far) & (aside <= far);
+  }
+  return any_of(found);
+}
+
+std::size_t line_before_plain(const TangentLines& lines, float x, float y) {
+  float best = kBeyond;
+  std::size_t at = lines.num;
+  for (std::size_t lane = 0; lane < kLanes; ++lane)
+    for (std::size_t k = lane; k < lines.num; k += kLanes) {
+      const float along = lines.wx[k] * x + lines.wy[k] * y;
+      at = along > best ? k : at;
+      best = along > best ? along : best;
+    }
+  return at;
+}
+
+constexpr float kD1 = 0.92387953f, kD2 = 0.70710678f, kD3 = 0.38268343f;
+constexpr float kCos[CellCorners::kDirections] = {1, kD1, kD2, kD3, 0, -kD3, -kD2, -kD1, -1, -kD1, -kD2, -kD3, 0, kD3, kD2, kD1};
+constexpr float kSin[CellCorners::kDirections] = {0, kD3, kD2, kD1, 1, kD1, kD2, kD3, 0, -kD3, -kD2, -kD1, -1, -kD1, -kD2, -kD3};
+// The side of a square that is met first.
+constexpr float kSquareX[CellCorners::kDirections] = {1, 1, 1, 0, 0, 0, -1, -1, -1, -1, -1, 0, 0, 0, 1, 1};
+constexpr float kSquareY[CellCorners::kDirections] = {0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0, -1, -1, -1, 0, 0};
+
+// What has the largest product with a direction is met first.
+template <std::size_t N>
+CHIARO_INLINE void directions_body(const TangentLines& lines, float half, CellCorners& out) {
+  using Floats = typename LaneTypes<N>::Floats;
+  using Mask = typename LaneTypes<N>::Mask;
+  for (std::size_t first = 0; first < CellCorners::kDirections; first += N) {
+    Floats c, s, best_x, best_y;
+    load(kCos + first, c);
+    load(kSin + first, s);
+    load(kSquareX + first, best_x);
+    load(kSquareY + first, best_y);
+    best_x *= 1 / half;
+    best_y *= 1 / half;
+    Floats best = c * best_x + s * best_y;
+    for (std::size_t k = 0; k < lines.num; ++k) {
+      const float wx = lines.wx[k], wy = lines.wy[k];
+      const Floats along = c * wx + s * wy;
+      const Mask nearer = along > best;
+      best = nearer ? along : best;
+      best_x = nearer ? Floats{} + wx : best_x;
+      best_y = nearer ? Floats{} + wy : best_y;
+    }
+    store(best_x, &out.ax[first]);
+    store(best_y, &out.ay[first]);
+  }
+}
+
+template <std::size_t N>
+CHIARO_INLINE void corners_body(CellCorners& out) {
+  using Floats = typename LaneTypes<N>::Floats;
+  using Mask = typename LaneTypes<N>::Mask;
+  constexpr std::size_t kLast = CellCorners::kDirections;
+  out.ax[kLast] = out.ax[0];
+  out.ay[kLast] = out.ay[0];
+  for (std::size_t first = 0; first < kLast; first += N) {
+    Floats ax, ay, bx, by;
+    load(&out.ax[first], ax);
+    load(&out.ay[first], ay);
+    load(&out.ax[first + 1], bx);
+    load(&out.ay[first + 1], by);
+    const Floats cross = ax * by - ay * bx, over = 1.0f / cross, x = (by - ay) * over, y = (ax - bx) * over;
+    const Mask same = (ax == bx) & (ay == by), meet = cross > Floats{};
+    Floats squared = x * x + y * y;
+    squared = meet ? squared : Floats{} + kInfinity;
+    squared = same ? Floats{} - 1.0f : squared;
+    store(bx, &out.bx[first]);
+    store(by, &out.by[first]);
+    store(x, &out.x[first]);
+    store(y, &out.y[first]);
+    store(squared, &out.squared[first]);
+  }
+  out.size = kLast;
+}
+
+template <std::size_t N>
+CHIARO_INLINE void cell_body(const TangentLines& lines, float half, CellCorners& out) {
+  directions_body<N>(lines, half, out);
+  corners_body<N>(out);
+}
+
+#if defined(CHIARO_AVX2)
+CHIARO_AVX2 inline __m256 dot(const std::array<float, 3>& a, __m256 x, __m256 y, __m256 z) {
+  return _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(_mm256_set1_ps(a[0]), x), _mm256_mul_ps(_mm256_set1_ps(a[1]), y)), _mm256_mul_ps(_mm256_set1_ps(a[2]), z));
+}
+
+CHIARO_AVX2 bool lines_avx2(const CandidateView& c, float px, float py, float pz, float limit, const TangentFrame& f, TangentLines& out) {
+  const __m256 x0 = _mm256_set1_ps(px), y0 = _mm256_set1_ps(py), z0 = _mm256_set1_ps(pz), most = _mm256_set1_ps(limit), zero = _mm256_setzero_ps();
+  const __m256 reach = _mm256_set1_ps(f.edge_reach * f.edge_reach), other_face = _mm256_set1_ps(f.other_face), sign = _mm256_set1_ps(-0.0f);
+  std::size_t n = 0;
+  int edge = 0;
+  for (std::size_t k = 0; k < c.num; k += 8) {
+    const __m256 x = _mm256_sub_ps(_mm256_loadu_ps(c.x + k), x0), y = _mm256_sub_ps(_mm256_loadu_ps(c.y + k), y0), z = _mm256_sub_ps(_mm256_loadu_ps(c.z + k), z0);
+    const __m256 d = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(x, x), _mm256_mul_ps(y, y)), _mm256_mul_ps(z, z));
+    const __m256 near = _mm256_and_ps(_mm256_cmp_ps(d, most, _CMP_LE_OQ), _mm256_cmp_ps(d, zero, _CMP_GT_OQ));
+    const auto mask = static_cast<unsigned>(_mm256_movemask_ps(near));
+    if (mask == 0) continue;
+    const __m256 cosine = dot(f.normal, _mm256_loadu_ps(c.nx + k), _mm256_loadu_ps(c.ny + k), _mm256_loadu_ps(c.nz + k)), size = _mm256_andnot_ps(sign, cosine);
+    edge |= _mm256_movemask_ps(_mm256_and_ps(near, _mm256_and_ps(_mm256_cmp_ps(size, other_face, _CMP_LT_OQ), _mm256_cmp_ps(d, reach, _CMP_LE_OQ))));
+    const __m256 towards = f.oriented ? _mm256_blendv_ps(size, cosine, _mm256_loadu_ps(reinterpret_cast<const float*>(c.oriented + k))) : size;
+    const __m256 height = dot(f.normal, x, y, z), four_squared = _mm256_mul_ps(_mm256_mul_ps(_mm256_set1_ps(4), height), height);
+    const __m256 holds = _mm256_and_ps(_mm256_cmp_ps(four_squared, d, _CMP_LE_OQ), _mm256_cmp_ps(towards, _mm256_set1_ps(0.5f), _CMP_GE_OQ));
+    const __m256 u = dot(f.u, x, y, z), v = dot(f.v, x, y, z), over = _mm256_div_ps(_mm256_set1_ps(2), d);
+    const __m256i order = compression_of(mask);
+    _mm256_storeu_ps(&out.u[n], _mm256_permutevar8x32_ps(u, order));
+    _mm256_storeu_ps(&out.v[n], _mm256_permutevar8x32_ps(v, order));
+    _mm256_storeu_ps(&out.wx[n], _mm256_permutevar8x32_ps(_mm256_and_ps(holds, _mm256_mul_ps(u, over)), order));
+    _mm256_storeu_ps(&out.wy[n], _mm256_permutevar8x32_ps(_mm256_and_ps(holds, _mm256_mul_ps(v, over)), order));
+    n += static_cast<std::size_t>(_mm_popcnt_u32(mask));
+  }
+  out.num = n;
+  return edge == 0;
+}
+
+CHIARO_AVX2 bool beyond_avx2(const TangentLines& lines, float x, float y, float distance) { return beyond_body<8>(lines, x, y, distance); }
+CHIARO_AVX2 void cell_avx2(const TangentLines& lines, float half, CellCorners& out) { cell_body<8>(lines, half, out); }
+
+
+// What cell_body() does; the next line comes from the register.
+CHIARO_AVX512 void cell_avx512(const TangentLines& lines, float half, CellCorners& out) {
+  const __m512 c = _mm512_loadu_ps(kCos), s = _mm512_loadu_ps(kSin), over_half = _mm512_set1_ps(1 / half);
+  __m512 ax = _mm512_mul_ps(_mm512_loadu_ps(kSquareX), over_half), ay = _mm512_mul_ps(_mm512_loadu_ps(kSquareY), over_half);
+  __m512 best = _mm512_add_ps(_mm512_mul_ps(c, ax), _mm512_mul_ps(s, ay));
+  for (std::size_t k = 0; k < lines.num; ++k) {
+    const __m512 wx = _mm512_set1_ps(lines.wx[k]), wy = _mm512_set1_ps(lines.wy[k]), along = _mm512_add_ps(_mm512_mul_ps(c, wx), _mm512_mul_ps(s, wy));
+    const __mmask16 nearer = _mm512_cmp_ps_mask(along, best, _CMP_GT_OQ);
+    best = _mm512_max_ps(along, best);
+    ax = _mm512_mask_mov_ps(ax, nearer, wx);
+    ay = _mm512_mask_mov_ps(ay, nearer, wy);
+  }
+  const __m512i next = _mm512_setr_epi32(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 0);
+  const __m512 bx = _mm512_permutexvar_ps(next, ax), by = _mm512_permutexvar_ps(next, ay);
+  const __m512 cross = _mm512_sub_ps(_mm512_mul_ps(ax, by), _mm512_mul_ps(ay, bx)), over = _mm512_div_ps(_mm512_set1_ps(1), cross);
+  const __m512 x = _mm512_mul_ps(_mm512_sub_ps(by, ay), over), y = _mm512_mul_ps(_mm512_sub_ps(ax, bx), over);
+  const __mmask16 same = _mm512_mask_cmp_ps_mask(_mm512_cmp_ps_mask(ax, bx, _CMP_EQ_OQ), ay, by, _CMP_EQ_OQ), meet = _mm512_cmp_ps_mask(cross, _mm512_setzero_ps(), _CMP_GT_OQ);
+  __m512 squared = _mm512_add_ps(_mm512_mul_ps(x, x), _mm512_mul_ps(y, y));
+  squared = _mm512_mask_mov_ps(_mm512_set1_ps(kInfinity), meet, squared);
+  squared = _mm512_mask_mov_ps(squared, same, _mm512_set1_ps(-1));
+  _mm512_store_ps(&out.ax[0], ax);
+  _mm512_store_ps(&out.ay[0], ay);
+  _mm512_store_ps(&out.bx[0], bx);
+  _mm512_store_ps(&out.by[0], by);
+  _mm512_store_ps(&out.x[0], x);
+  _mm512_store_ps(&out.y[0], y);
+  _mm512_store_ps(&out.squared[0], squared);
+  out.size = CellCorners::kDirections;
+}
+
+CHIARO_AVX512 inline __m512 dot(const std::array<float, 3>& a, __m512 x, __m512 y, __m512 z) {
+  return _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(_mm512_set1_ps(a[0]), x), _mm512_mul_ps(_mm512_set1_ps(a[1]), y)), _mm512_mul_ps(_mm512_set1_ps(a[2]), z));
+}
+
+CHIARO_AVX512 bool lines_avx512(const CandidateView& c, float px, float py, float pz, float limit, const TangentFrame& f, TangentLines& out) {
+  const __m512 x0 = _mm512_set1_ps(px), y0 = _mm512_set1_ps(py), z0 = _mm512_set1_ps(pz), most = _mm512_set1_ps(limit), zero = _mm512_setzero_ps();
+  const __m512 reach = _mm512_set1_ps(f.edge_reach * f.edge_reach), other_face = _mm512_set1_ps(f.other_face);
+  std::size_t n = 0;
+  unsigned edge = 0;
+  for (std::size_t k = 0; k < c.num; k += 16) {
+    const __m512 x = _mm512_sub_ps(_mm512_loadu_ps(c.x + k), x0), y = _mm512_sub_ps(_mm512_loadu_ps(c.y + k), y0), z = _mm512_sub_ps(_mm512_loadu_ps(c.z + k), z0);
+    const __m512 d = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(x, x), _mm512_mul_ps(y, y)), _mm512_mul_ps(z, z));
+    const __mmask16 mask = _mm512_mask_cmp_ps_mask(_mm512_cmp_ps_mask(d, most, _CMP_LE_OQ), d, zero, _CMP_GT_OQ);
+    const __m512 cosine = dot(f.normal, _mm512_loadu_ps(c.nx + k), _mm512_loadu_ps(c.ny + k), _mm512_loadu_ps(c.nz + k)), size = _mm512_abs_ps(cosine);
+    edge |= _mm512_mask_cmp_ps_mask(_mm512_mask_cmp_ps_mask(mask, size, other_face, _CMP_LT_OQ), d, reach, _CMP_LE_OQ);
+    __m512 towards = size;
+    if (f.oriented) {
+      const __m512i oriented = _mm512_loadu_si512(c.oriented + k);
+      towards = _mm512_mask_mov_ps(size, _mm512_test_epi32_mask(oriented, oriented), cosine);
+    }
+    const __m512 height = dot(f.normal, x, y, z), four_squared = _mm512_mul_ps(_mm512_mul_ps(_mm512_set1_ps(4), height), height);
+    const __mmask16 holds = _mm512_mask_cmp_ps_mask(_mm512_cmp_ps_mask(four_squared, d, _CMP_LE_OQ), towards, _mm512_set1_ps(0.5f), _CMP_GE_OQ);
+    const __m512 u = dot(f.u, x, y, z), v = dot(f.v, x, y, z), over = _mm512_div_ps(_mm512_set1_ps(2), d);
+    _mm512_storeu_ps(&out.u[n], _mm512_maskz_compress_ps(mask, u));
+    _mm512_storeu_ps(&out.v[n], _mm512_maskz_compress_ps(mask, v));
+    _mm512_storeu_ps(&out.wx[n], _mm512_maskz_compress_ps(mask, _mm512_maskz_mul_ps(holds, u, over)));
+    _mm512_storeu_ps(&out.wy[n], _mm512_maskz_compress_ps(mask, _mm512_maskz_mul_ps(holds, v, over)));
+    n += static_cast<std::size_t>(_mm_popcnt_u32(mask));
+  }
+  out.num = n;
+  return edge == 0;
+}
+
+CHIARO_AVX512 bool beyond_avx512(const TangentLines& lines, float x, float y, float distance) {
+  const __m512 dx = _mm512_set1_ps(x), dy = _mm512_set1_ps(y), far = _mm512_set1_ps(distance);
+  unsigned found = 0;
+  for (std::size_t k = 0; k < lines.num; k += 16) {
+    const __m512 u = _mm512_loadu_ps(&lines.u[k]), v = _mm512_loadu_ps(&lines.v[k]);
+    const __m512 aside = _mm512_abs_ps(_mm512_sub_ps(_mm512_mul_ps(v, dx), _mm512_mul_ps(u, dy)));
+    const __mmask16 beyond = _mm512_cmp_ps_mask(_mm512_add_ps(_mm512_mul_ps(u, dx), _mm512_mul_ps(v, dy)), far, _CMP_GE_OQ);
+    found |= _mm512_mask_cmp_ps_mask(beyond, aside, far, _CMP_LE_OQ);
+  }
+  return found != 0;
+}
+
+CHIARO_AVX512 inline std::uint32_t first_of_largest(__m512 values, __m512i numbers) {
+  const __mmask16 largest = _mm512_cmp_ps_mask(values, _mm512_set1_ps(_mm512_reduce_max_ps(values)), _CMP_EQ_OQ);
+  return static_cast<std::uint32_t>(_mm_cvtsi128_si32(_mm512_castsi512_si128(_mm512_maskz_compress_epi32(largest, numbers))));
+}
+
+CHIARO_AVX512 std::size_t line_before_avx512(const TangentLines& lines, float x, float y) {
+  const __m512 dx = _mm512_set1_ps(x), dy = _mm512_set1_ps(y);
+  __m512 best = _mm512_set1_ps(kBeyond);
+  __m512i which = _mm512_set1_epi32(-1), number = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  for (std::size_t k = 0; k < lines.num; k += 16) {
+    const __m512 along = _mm512_add_ps(_mm512_mul_ps(_mm512_loadu_ps(&lines.wx[k]), dx), _mm512_mul_ps(_mm512_loadu_ps(&lines.wy[k]), dy));
+    const __mmask16 more = _mm512_cmp_ps_mask(along, best, _CMP_GT_OQ);
+    best = _mm512_mask_mov_ps(best, more, along);
+    which = _mm512_mask_mov_epi32(which, more, number);
+    number = _mm512_add_epi32(number, _mm512_set1_epi32(16));
+  }
+  const std::uint32_t at = first_of_largest(best, which);   // no line: all bits set
+  return at < lines.num ? at : lines.num;
+}
+
+CHIARO_AVX512 std::size_t farthest_avx512(const CellCorners& c) {
+  __m512 best = _mm512_load_ps(&c.squared[0]);
+  __m512i which = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15), number = which;
+  for (std::size_t k = 16; k < c.size; k += 16) {
+    number = _mm512_add_epi32(number, _mm512_set1_epi32(16));
+    const __mmask16 there = static_cast<__mmask16>(c.size - k >= 16 ? 0xffff : (1u << (c.size - k)) - 1);
+    const __m512 next = _mm512_maskz_loadu_ps(there, &c.squared[k]);
+    const __mmask16 more = _mm512_mask_cmp_ps_mask(there, next, best, _CMP_GT_OQ);
+    best = _mm512_mask_mov_ps(best, more, next);
+    which = _mm512_mask_mov_epi32(which, more, number);
+  }
+  return first_of_largest(best, which);
+}
+#endif
+
+}  // namespace
+
+bool TangentLines::make(const CandidateView& c, float x, float y, float z, float limit, const TangentFrame& frame) {
+  if (u.size() < c.num + 2 * kLanes)
+    for (std::vector<float>* values : {&u, &v, &wx, &wy}) values->resize(c.num + 2 * kLanes);
+#if defined(CHIARO_AVX2)
+  const bool smooth = vector_width() == VectorWidth::kAvx512 ? lines_avx512(c, x, y, z, limit, frame, *this)
+                      : vector_width() == VectorWidth::kAvx2 ? lines_avx2(c, x, y, z, limit, frame, *this)
+                                                             : lines_plain(c, x, y, z, limit, frame, *this);
+#else
+  const bool smooth = lines_plain(c, x, y, z, limit, frame, *this);
+#endif
+  for (std::vector<float>* values : {&u, &v, &wx, &wy}) std::fill_n(values->begin() + static_cast<std::ptrdiff_t>(num), kLanes, 0.0f);
+  return smooth;
+}
+
+bool TangentLines::is_beyond(float x, float y, float distance) const {
+#if defined(CHIARO_AVX2)
+  if (vector_width() == VectorWidth::kAvx512) return beyond_avx512(*this, x, y, distance);
+  if (vector_width() == VectorWidth::kAvx2) return beyond_avx2(*this, x, y, distance);
+#endif
+  return beyond_body<8>(*this, x, y, distance);
+}
+
+std::size_t TangentLines::line_before(float x, float y) const {
+#if defined(CHIARO_AVX2)
+  if (vector_width() == VectorWidth::kAvx512) return line_before_avx512(*this, x, y);
+#endif
+  return line_before_plain(*this, x, y);
+}
+
+void CellCorners::set(std::size_t at, float ax_, float ay_, float bx_, float by_) {
+  const float cross = ax_ * by_ - ay_ * bx_;
+  ax[at] = ax_;
+  ay[at] = ay_;
+  bx[at] = bx_;
+  by[at] = by_;
+  x[at] = (by_ - ay_) / cross;
+  y[at] = (ax_ - bx_) / cross;
+  squared[at] = cross > 0 ? x[at] * x[at] + y[at] * y[at] : kInfinity;
+}
+
+std::size_t CellCorners::farthest() const {
+#if defined(CHIARO_AVX2)
+  if (vector_width() == VectorWidth::kAvx512) return farthest_avx512(*this);
+#endif
+  std::size_t at = 0;
+  for (std::size_t lane = 0; lane < kLanes; ++lane)
+    for (std::size_t i = lane; i < size; i += kLanes) at = squared[i] > squared[at] ? i : at;
+  return at;
+}
+
+void start_cell(const TangentLines& lines, float half, CellCorners& corners) {
+#if defined(CHIARO_AVX2)
+  if (vector_width() == VectorWidth::kAvx512) return cell_avx512(lines, half, corners);
+  if (vector_width() == VectorWidth::kAvx2) return cell_avx2(lines, half, corners);
+#endif
+  cell_body<8>(lines, half, corners);
+}
+
+}  // namespace chiaro::stream

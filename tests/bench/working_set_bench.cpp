@@ -1,0 +1,125 @@
+// What one photograph needs of a large store, and how soon its first pixel is there.
+//
+//   working_set_bench STORE.chiaro [--size 4000x3000] [--field 50] [--distances 0.05,0.2,1,3] [--memory 4GiB] [--cold]
+//
+// Cameras look at the surface from outside, along the line from the centre of the bounds to its leaf in the middle of the Morton order: once for each distance
+// from the surface, in units of half the diagonal of the bounds; --field is the width of the picture, degrees. A light stands beside the camera as a flash does. Share:
+// of all chunks of the store, with inner ones. First pixel: from opening the store to the answer for the pixel in the middle. --cold: pages of the store are
+// dropped first, without it they are read once before.
+#include <fcntl.h>
+
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/store/store_format.h"
+#include "surfels/tracer.h"
+#include "surfels/working_set.h"
+
+namespace {
+
+using namespace chiaro;
+namespace fs = std::filesystem;
+using Clock = std::chrono::steady_clock;
+
+struct Options {
+  fs::path store;
+  int width = 4000, height = 3000;
+  double field_deg = 50;
+  std::vector<double> distances{0.05, 0.2, 1, 3};
+  std::uint64_t memory = std::uint64_t{4} << 30;
+  bool cold = false;
+};
+
+double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+
+surfels::View view_of(const Options& o, const stream::Manifest& m, const Vec3d& target, double distance) {
+  const Vec3d centre = 0.5 * (m.bounds.min + m.bounds.max);
+  const Vec3d forward = (centre - target).normalized(), right = forward.unitOrthogonal(), down = forward.cross(right);
+  surfels::View v;
+  v.lens.width_px = o.width;
+  v.lens.height_px = o.height;
+  v.lens.fx = v.lens.fy = 0.5 * o.width / std::tan(0.5 * o.field_deg * 3.14159265358979 / 180);
+  v.lens.cx = 0.5 * o.width;
+  v.lens.cy = 0.5 * o.height;
+  const Vec3d eye = target - distance * forward;
+  v.pose.rotation_camera_from_world << right.transpose(), down.transpose(), forward.transpose();
+  v.pose.translation_camera_from_world = -v.pose.rotation_camera_from_world * eye;
+  v.rect = {0, 0, o.width, o.height};
+  v.lights_in_world.push_back(v.pose.world_from_camera({0.02 * distance, -0.02 * distance, 0}));
+  return v;
+}
+
+void touch(const fs::path& folder, bool drop) {
+  for (const auto& entry : fs::directory_iterator(folder)) {
+    if (!entry.is_regular_file()) continue;
+    const File file(entry.path(), File::Mode::kRead);
+    if (drop) posix_fadvise(file.descriptor(), 0, 0, POSIX_FADV_DONTNEED);
+    std::vector<char> block(8 << 20);
+    for (std::uint64_t at = 0; !drop && at < file.size(); at += block.size()) file.read_some_at(at, block.data(), block.size());
+  }
+}
+
+void measure(const Options& o, double share) {
+  touch(o.store, o.cold);
+  MemoryBudget budget(o.memory);
+  const auto start = Clock::now();
+  const stream::Store store(o.store);
+  const stream::Manifest& m = store.manifest();
+  const Box3d middle = store.bounds(store.leaves()[store.leaves().size() / 2]);
+  const surfels::View view = view_of(o, m, 0.5 * (middle.min + middle.max), share * 0.5 * (m.bounds.max - m.bounds.min).norm());
+  const double opened = seconds_since(start);
+  surfels::CutOptions cut;
+  const surfels::WorkingSet set = surfels::select_visible(store, view, cut, budget, silent_reporter());
+  const double selected = seconds_since(start);
+  surfels::Tracer tracer(view.pose.centre_in_world(), budget);
+  for (const std::uint32_t c : set.chunks) tracer.add(store.read_chunk(c));
+  tracer.commit();
+  surfels::Hit hit;
+  const bool met = tracer.closest({Vec3f::Zero(), view.pose.rotation_camera_from_world.row(2).transpose().cast<float>(), 0, 1e30f}, hit);
+  const double first = seconds_since(start);
+  std::printf("| %.2f | %zu | %zu | %.2f %% | %.2f M | %llu | %.0f MiB | %.3f s | %.3f s | %.3f s | %s |\n", share, store.chunks().size(), set.chunks.size(),
+              100 * static_cast<double>(set.chunks.size()) / static_cast<double>(store.chunks().size()), 1e-6 * static_cast<double>(set.surfels),
+              static_cast<unsigned long long>(set.chunks_hidden), static_cast<double>(tracer.bytes()) / 1048576, opened, selected - opened, first, met ? "yes" : "no");
+}
+
+Options parse(int count, char** words) {
+  Options o;
+  for (int i = 1; i < count; ++i) {
+    const std::string word = words[i];
+    if (word == "--cold") o.cold = true;
+    else if (!word.starts_with("--")) o.store = word;
+    else if (i + 1 == count) throw Error(concat(word, ": a value is missing"));
+    else if (word == "--size") {
+      if (std::sscanf(words[++i], "%dx%d", &o.width, &o.height) != 2 || o.width < 1 || o.height < 1) throw Error("--size is WIDTHxHEIGHT");
+    } else if (word == "--field") o.field_deg = std::stod(words[++i]);
+    else if (word == "--memory") o.memory = parse_bytes(words[++i]);
+    else if (word == "--distances") {
+      o.distances.clear();
+      std::istringstream list(words[++i]);
+      for (std::string item; std::getline(list, item, ',');) o.distances.push_back(std::stod(item));
+    } else throw Error(concat(word, ": unknown; see the head of working_set_bench.cpp"));
+  }
+  if (o.store.empty()) throw Error("which store?");
+  return o;
+}
+
+}  // namespace
+
+int main(int count, char** words) {
+  try {
+    const Options options = parse(count, words);
+    std::printf("%s, %d x %d pixels, %s\n| distance | chunks | needed | share | surfels | hidden | resident | open | select | first pixel | hit |\n", options.store.c_str(), options.width, options.height,
+                options.cold ? "cold" : "warm");
+    for (const double distance : options.distances) measure(options, distance);
+    return 0;
+  } catch (const std::exception& e) {
+    std::fprintf(stderr, "error: %s\n", e.what());
+    return 1;
+  }
+}
