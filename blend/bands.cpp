@@ -33,14 +33,12 @@ SurfacePixel merged(const SurfacePixel* const* children, int count, float radius
     sum.position += c.area * c.position;
     sum.albedo += c.area * c.albedo;
     sum.normal += c.area * c.normal;
-    sum.quality += c.area * c.quality;
     sum.cosv += c.area * c.cosv;
   }
   const float scale = 1 / sum.area;
   sum.position *= scale;
   sum.albedo *= scale;
   sum.normal *= scale;
-  sum.quality *= scale;
   sum.cosv *= scale;
   return sum;
 }
@@ -89,13 +87,11 @@ SurfaceMean SurfacePyramid::mean(int x, int y, float footprint) const {
       result.albedo += w * b.albedo;
       const float facing = w * std::max(0.0f, b.normal.dot(centre.normal));
       facing_weights += facing;
-      result.quality += facing * b.quality;
       result.cosv += facing * b.cosv;
     }
   }
-  if (!(weights > 0)) return {centre.albedo, centre.quality, centre.cosv, true};   // a block whose middle lies beyond the radius: the pixel speaks for itself
+  if (!(weights > 0)) return {centre.albedo, centre.cosv, true};   // a block whose middle lies beyond the radius: the pixel speaks for itself
   result.albedo /= weights;
-  result.quality = facing_weights > 0 ? result.quality / facing_weights : centre.quality;
   result.cosv = facing_weights > 0 ? result.cosv / facing_weights : centre.cosv;
   result.valid = true;
   return result;

@@ -22,13 +22,13 @@ struct SurfacePixel {
   float area = 0;                   ///< surface covered, any unit common to the image
   Vec3f albedo = Vec3f::Zero();
   Vec3f normal = Vec3f::Zero();
-  float quality = 0, cosv = 0;
+  float cosv = 0;
 };
 
 /// Means over the surface around a pixel.
 struct SurfaceMean {
   Vec3f albedo = Vec3f::Zero();
-  float quality = 0, cosv = 0;      ///< over the part of the surroundings that faces the same way: the other side of a crease says nothing about this one
+  float cosv = 0;      ///< over the part of the surroundings that faces the same way: the other side of a crease says nothing about this one
   bool valid = false;
 };
 

@@ -37,7 +37,7 @@ void add_raster(Hasher& hash, const std::filesystem::path& path) {
 /// Everything that the accumulators depend on.
 std::string accumulator_key(const stream::Store& store, const std::vector<const BlendPhotograph*>& photographs, const BlendOptions& options) {
   Hasher hash;
-  hash.add("blend accumulators 2").add(store.manifest().key).add(std::uint64_t{store.chunks().size()});
+  hash.add("blend accumulators 3").add(store.manifest().key).add(std::uint64_t{store.chunks().size()});
   hash.add(options.low_band_px).add(options.border_px).add(options.high_band_power);
   for (const BlendPhotograph* p : photographs) {
     const stream::Lens& lens = p->camera.lens;

@@ -59,7 +59,7 @@ void read_mask(const PhotographRasters& rasters, Preparation& p) {
   }
 }
 
-/// Albedo, quality and place on the surface of the pixels that may be used.
+/// Albedo, quality (kept in `weight` until the bands are split) and place on the surface of the pixels that may be used.
 void read_values(const PhotographRasters& rasters, Preparation& p, const stream::Lens& lens, const WindowOptions& options) {
   const stream::RasterReader& a = rasters.albedo();
   for_plane(a, "r", p, [&](std::size_t i, float v) { p.pixels[i].low.x() = v; });   // the albedo itself until the bands are split
@@ -83,7 +83,8 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
       const auto direction = stream::unproject(lens, middle);
       if (!direction) continue;
       const float side = pixel.footprint / options.reference_footprint;
-      p.surface[i] = {Vec3f((*direction * static_cast<double>(pixel.depth)).cast<float>()), side * side / p.cosv[i], pixel.low, pixel.normal, quality, p.cosv[i]};
+      p.surface[i] = {Vec3f((*direction * static_cast<double>(pixel.depth)).cast<float>()), side * side / p.cosv[i], pixel.low, pixel.normal, p.cosv[i]};
+      pixel.weight = quality;
     }
   });
 }
@@ -98,10 +99,13 @@ void split_bands(Preparation& p, const WindowOptions& options, int first, int la
         const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(p.width) + static_cast<std::size_t>(x);
         WindowPixel& pixel = p.pixels[i];
         const SurfaceMean mean = surface.mean(x, y, pixel.footprint);
-        if (!mean.valid) continue;
+        if (!mean.valid) {
+          pixel.weight = 0;
+          continue;
+        }
         pixel.high = pixel.low - mean.albedo;
         pixel.low = mean.albedo;
-        pixel.weight = mean.quality * angle_weight(mean.cosv) * pixel_ramp({.edge_px = p.edge[i], .mask_px = to_mask[i], .saturated_px = to_saturated[i]}, options.border_px);
+        pixel.weight *= angle_weight(mean.cosv) * pixel_ramp({.edge_px = p.edge[i], .mask_px = to_mask[i], .saturated_px = to_saturated[i]}, options.border_px);
       }
   });
 }

@@ -503,7 +503,7 @@ class Pipeline {
 
   void blend(const stream::Store& store) {
     std::vector<blend::BlendPhotograph> photographs;
-    Hasher h = keyed("blend");
+    Hasher h = keyed("blend 2");
     h.add(store_key_);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {

@@ -18,7 +18,7 @@ std::vector<SurfacePixel> flat_image(int width, int rows, const Paint& paint, in
   for (int y = 0; y < rows; ++y)
     for (int x = 0; x < width; ++x)
       pixels[static_cast<std::size_t>(y * width + x)] = {Vec3f(0.01f * static_cast<float>(x), 0.01f * static_cast<float>(y + first_row), 2), 1, paint(x, y + first_row),
-                                                         Vec3f(0, 0, -1), 1, 1};
+                                                         Vec3f(0, 0, -1), 1};
   return pixels;
 }
 Vec3f noise_at(int x, int y) {
@@ -66,7 +66,7 @@ TEST(Bands, APhotographFromAnotherDistanceAndAngleHasTheSameLowBand) {
     for (int y = 0; y < n; ++y)
       for (int x = 0; x < n; ++x) {
         const Vec3f at(step_x * static_cast<float>(x - n / 2), step_y * static_cast<float>(y - n / 2), 2);
-        pixels[static_cast<std::size_t>(y * n + x)] = {at, step_x * step_y, Vec3f::Constant(paint(at)), Vec3f(0, 0, -1), 1, step_y / step_x};
+        pixels[static_cast<std::size_t>(y * n + x)] = {at, step_x * step_y, Vec3f::Constant(paint(at)), Vec3f(0, 0, -1), step_y / step_x};
       }
     return pixels;
   };
