@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
 #include "blend/view_weights.h"
 #include "stream/base/error.h"
@@ -120,17 +121,17 @@ PhotographRasters::PhotographRasters(const stream::Lens& lens, const std::filesy
   check_raster(radiance_, radiance, lens, {"mask"});
 }
 
-void FootprintHistogram::add(float footprint) {
-  if (!(footprint > 0) || !std::isfinite(footprint)) return;
-  const int step = std::clamp(static_cast<int>(std::floor((std::log2(footprint) - kLowest) * kSteps)), 0, static_cast<int>(counts_.size()) - 1);
+void OctaveHistogram::add(float value) {
+  if (!(value > 0) || !std::isfinite(value)) return;
+  const int step = std::clamp(static_cast<int>(std::floor((std::log2(value) - kLowest) * kSteps)), 0, static_cast<int>(counts_.size()) - 1);
   ++counts_[static_cast<std::size_t>(step)];
 }
 
-void FootprintHistogram::merge(const FootprintHistogram& other) {
+void OctaveHistogram::merge(const OctaveHistogram& other) {
   for (std::size_t i = 0; i < counts_.size(); ++i) counts_[i] += other.counts_[i];
 }
 
-float FootprintHistogram::median() const {
+float OctaveHistogram::median() const {
   std::uint64_t total = 0, below = 0;
   for (const std::uint64_t n : counts_) total += n;
   for (std::size_t i = 0; i < counts_.size(); ++i)
@@ -138,27 +139,47 @@ float FootprintHistogram::median() const {
   return 0;
 }
 
-float FootprintHistogram::smallest() const {
+float OctaveHistogram::smallest() const {
   for (std::size_t i = 0; i < counts_.size(); ++i)
     if (counts_[i] > 0) return static_cast<float>(std::exp2(static_cast<double>(i) / kSteps + kLowest));
   return 0;
 }
 
-FootprintHistogram footprints(const PhotographRasters& rasters) {
+namespace {
+
+/// Counts what `add_rows(histogram, y0, rows)` adds, by bands of rows in parallel.
+OctaveHistogram count_rows(int height, const std::function<void(OctaveHistogram&, int, int)>& add_rows) {
   constexpr int kRows = 64;
-  const std::size_t num_blocks = static_cast<std::size_t>((rasters.height() + kRows - 1) / kRows);
-  std::vector<FootprintHistogram> partial(num_blocks);
+  const auto num_blocks = static_cast<std::size_t>((height + kRows - 1) / kRows);
+  std::vector<OctaveHistogram> partial(num_blocks);
   parallel_blocks(num_blocks, 1, [&](std::size_t b0, std::size_t b1) {
     for (std::size_t b = b0; b < b1; ++b) {
-      const int y0 = static_cast<int>(b) * kRows, rows = std::min(kRows, rasters.height() - y0);
-      const auto depth = rasters.gbuffer().rows<float>("depth", y0, rows), footprint = rasters.gbuffer().rows<float>("footprint", y0, rows);
-      for (std::size_t i = 0; i < depth.size(); ++i)
-        if (depth[i] > 0) partial[b].add(footprint[i]);
+      const int y0 = static_cast<int>(b) * kRows;
+      add_rows(partial[b], y0, std::min(kRows, height - y0));
     }
   });
-  FootprintHistogram sum;
-  for (const FootprintHistogram& h : partial) sum.merge(h);
+  OctaveHistogram sum;
+  for (const OctaveHistogram& h : partial) sum.merge(h);
   return sum;
+}
+
+}  // namespace
+
+OctaveHistogram footprints(const PhotographRasters& rasters) {
+  return count_rows(rasters.height(), [&](OctaveHistogram& counts, int y0, int rows) {
+    const auto depth = rasters.gbuffer().rows<float>("depth", y0, rows), footprint = rasters.gbuffer().rows<float>("footprint", y0, rows);
+    for (std::size_t i = 0; i < depth.size(); ++i)
+      if (depth[i] > 0) counts.add(footprint[i]);
+  });
+}
+
+OctaveHistogram brightnesses(const PhotographRasters& rasters) {
+  return count_rows(rasters.height(), [&](OctaveHistogram& counts, int y0, int rows) {
+    const auto depth = rasters.gbuffer().rows<float>("depth", y0, rows), red = rasters.albedo().rows<float>("r", y0, rows), green = rasters.albedo().rows<float>("g", y0, rows),
+               blue = rasters.albedo().rows<float>("b", y0, rows);
+    for (std::size_t i = 0; i < depth.size(); ++i)
+      if (depth[i] > 0) counts.add((red[i] + green[i] + blue[i]) / 3);
+  });
 }
 
 int halo_rows(const WindowOptions& options, float smallest_footprint) {
@@ -171,15 +192,15 @@ std::size_t window_bytes_per_pixel() {
   return sizeof(WindowPixel) + sizeof(SurfacePixel) * 4 / 3 + 2 * sizeof(float) + 2 + 3 * sizeof(float);
 }
 
-PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int halo, const WindowOptions& options) {
+PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options) {
   Preparation p;
   p.width = rasters.width();
-  p.y0 = std::max(0, y0 - 1 - halo + kPyramidRows - 1) / kPyramidRows * kPyramidRows;
-  p.rows = std::min(rasters.height(), (y1 + 1 + halo) / kPyramidRows * kPyramidRows) - p.y0;
+  p.y0 = std::max(0, y0 - margin - halo + kPyramidRows - 1) / kPyramidRows * kPyramidRows;
+  p.rows = std::min(rasters.height(), (y1 + margin + halo) / kPyramidRows * kPyramidRows) - p.y0;
   PhotoWindow window;
   window.width = p.width;
-  window.y0 = std::max(0, y0 - 1);
-  window.rows = std::min(rasters.height(), y1 + 1) - window.y0;
+  window.y0 = std::max(0, y0 - margin);
+  window.rows = std::min(rasters.height(), y1 + margin) - window.y0;
   const int first = window.y0 - p.y0;
 
   p.pixels.resize(p.size());
