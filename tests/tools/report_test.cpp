@@ -10,6 +10,7 @@
 #include "tools/metrics.h"
 #include "tools/report_palette.h"
 #include "tools/report_photo.h"
+#include "tools/table.h"
 
 namespace chiaro::tools {
 namespace {
