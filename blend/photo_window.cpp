@@ -24,7 +24,7 @@ void check_raster(const stream::RasterReader& raster, const std::filesystem::pat
 struct Preparation {
   int width = 0, y0 = 0, rows = 0;
   std::vector<WindowPixel> pixels;
-  std::vector<SurfacePixel> surface;
+  SurfacePlanes surface;
   std::vector<float> cosv, edge;
   std::vector<std::uint8_t> masked, saturated;
   std::size_t size() const { return static_cast<std::size_t>(width) * static_cast<std::size_t>(rows); }
@@ -71,7 +71,7 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
   const stream::RasterReader& g = rasters.gbuffer();
   const auto coverage = g.rows<float>("coverage", p.y0, p.rows);
   const auto spread = g.has("spread") ? g.rows<float>("spread", p.y0, p.rows) : std::vector<float>();
-  p.surface.resize(p.size());
+  p.surface = SurfacePlanes(p.width, p.rows);
   parallel_blocks(p.size(), 1 << 14, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       WindowPixel& pixel = p.pixels[i];
@@ -80,11 +80,12 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
       if (!(pixel.depth > 0) || p.masked[i] || p.saturated[i] || !pixel.low.allFinite() || !pixel.normal.allFinite() || !std::isfinite(pixel.radius) ||
           !(p.edge[i] > kMixedPixels) || !(p.cosv[i] > kLeastViewCos) || !(quality > 0))
         continue;
-      const Vec2d middle(static_cast<double>(i % static_cast<std::size_t>(p.width)) + 0.5, static_cast<double>(i / static_cast<std::size_t>(p.width)) + p.y0 + 0.5);
+      const auto x = static_cast<int>(i % static_cast<std::size_t>(p.width)), y = static_cast<int>(i / static_cast<std::size_t>(p.width));
+      const Vec2d middle(x + 0.5, y + p.y0 + 0.5);
       const auto direction = stream::unproject(lens, middle);
       if (!direction) continue;
       const float side = pixel.footprint / options.reference_footprint;
-      p.surface[i] = {Vec3f((*direction * static_cast<double>(pixel.depth)).cast<float>()), side * side / p.cosv[i], pixel.low, pixel.normal, p.cosv[i]};
+      p.surface.set(x, y, {Vec3f((*direction * static_cast<double>(pixel.depth)).cast<float>()), side * side / p.cosv[i], pixel.low, pixel.normal, p.cosv[i]});
       pixel.weight = quality;
     }
   });
@@ -93,7 +94,7 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
 void split_bands(Preparation& p, const WindowOptions& options, int first, int last) {
   const auto to_mask = distance_to_marked(p.masked, p.width, p.rows, options.border_px);
   const auto to_saturated = distance_to_marked(p.saturated, p.width, p.rows, saturation_ramp_px(options.border_px));
-  const SurfacePyramid surface(std::move(p.surface), p.width, p.rows, options.low_radius);
+  const SurfacePyramid surface(std::move(p.surface), options.low_radius);
   parallel_blocks(static_cast<std::size_t>(last - first), 2, [&](std::size_t y0, std::size_t y1) {
     for (int y = first + static_cast<int>(y0); y < first + static_cast<int>(y1); ++y)
       for (int x = 0; x < p.width; ++x) {
@@ -189,7 +190,7 @@ int halo_rows(const WindowOptions& options, float smallest_footprint) {
 
 std::size_t window_bytes_per_pixel() {
   // pixel, surface and its coarser levels, cosv and edge, masks, two distances with their work array or two planes on the way in
-  return sizeof(WindowPixel) + sizeof(SurfacePixel) * 4 / 3 + 2 * sizeof(float) + 2 + 3 * sizeof(float);
+  return sizeof(WindowPixel) + SurfacePlanes::bytes_per_pixel() * 4 / 3 + 2 * sizeof(float) + 2 + 3 * sizeof(float);
 }
 
 PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options) {
