@@ -9,7 +9,7 @@ namespace chiaro::blend {
 void add_sample(Accumulator& sum, const Sample& sample, float high_band_power) {
   const float low = sample.weight;
   const auto weight = static_cast<double>(sample.weight);
-  const double high = high_band_power == 2 ? weight * weight : std::pow(weight, static_cast<double>(high_band_power)), high_deviation = high * static_cast<double>(sample.sigma);
+  const double high = high_band_power == 1.5f ? weight * std::sqrt(weight) : std::pow(weight, static_cast<double>(high_band_power)), high_deviation = high * static_cast<double>(sample.sigma);
   sum.low_weight += low;
   sum.high_weight += high;
   for (int c = 0; c < 3; ++c) {

@@ -136,8 +136,9 @@ Agreement find_agreement(std::span<const ReadingPair> pairs, std::size_t num_pho
 }
 
 float tolerance_for(float scatter) {
-  // Six times the median of differences is 3 sd of a difference of two; 3 % are within what interpolation and blur make of edges.
-  constexpr float kScatters = 6, kLeast = 0.03f;
+  // Eight times the median of differences is 5 sd of normal ones; shadows and relief have longer tails, and 6 gave away good readings (measured on a rendered
+  // tower: error 3.254 -> 3.247 %). 3 % are within what interpolation and blur make of edges.
+  constexpr float kScatters = 8, kLeast = 0.03f;
   return std::max(kLeast, kScatters * scatter);
 }
 

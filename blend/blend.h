@@ -32,7 +32,7 @@ struct BlendOptions {
   std::string provenance_json = "{}";
   double low_band_px = 8;          ///< radius of the filter that splits the low from the high band, in pixels of the finest photograph there
   double border_px = 12;           ///< weights rise from 0 at image borders, mask borders and silhouettes over this many pixels
-  double high_band_power = 2;      ///< weights of the high band are raised to this power: the best photograph wins
+  double high_band_power = 1.5;      ///< weights of the high band are raised to this power: better photographs count more
   double shared_sigma = 0;         ///< relative sd that all photographs share (lights): added to the result, does not average out
   bool reject = true;              ///< readings that a majority of the photographs contradicts are left out
   Gain gain = Gain::kGrey;
