@@ -18,9 +18,25 @@ void add_sample(Accumulator& sum, const Sample& sample, float high_band_power) {
   }
   sum.low_variance += (low * sample.sigma) * (low * sample.sigma);
   sum.shared += low * sample.shared;
+  sum.weight_square += low * low;
+  sum.low_square += low * sample.low.mean() * sample.low.mean();
   sum.high_variance += high_deviation * high_deviation;
   ++sum.photographs;
 }
+
+namespace {
+
+/// Relative standard deviation of the low band's mean, from the readings alone; 0 where there is one, or where they have no mean to be relative to.
+float deviation_by_scatter(const Accumulator& sum) {
+  const double weight = static_cast<double>(sum.low_weight), mean = (static_cast<double>(sum.low[0]) + static_cast<double>(sum.low[1]) + static_cast<double>(sum.low[2])) / (3 * weight);
+  const double independent = weight * weight / static_cast<double>(sum.weight_square);   // as many readings of equal weight
+  constexpr double kLeastReadings = 1.001, kRounding = 4e-7;                             // sums of floats: what is left of a difference of nearly equal ones
+  if (sum.photographs < 2 || !(independent > kLeastReadings) || !(mean > 0)) return 0;
+  const double variance = static_cast<double>(sum.low_square) / weight / (mean * mean) - 1;
+  return variance > kRounding ? static_cast<float>(std::sqrt(variance / (independent - 1))) : 0.0f;
+}
+
+}  // namespace
 
 BlendedSurfel resolve(const Accumulator& sum, float shared_sigma) {
   constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
@@ -30,7 +46,7 @@ BlendedSurfel resolve(const Accumulator& sum, float shared_sigma) {
   // Slow errors average with the low band's weights, pixel noise with the high band's; the larger one speaks.
   const float low = std::sqrt(sum.low_variance) / sum.low_weight;
   const auto high = static_cast<float>(sum.high_weight > 0 ? std::sqrt(sum.high_variance) / sum.high_weight : 0);
-  const float independent = std::max(low, high), shared = sum.shared / sum.low_weight;   // shared errors add by amplitude: they do not average out
+  const float independent = std::max({low, high, deviation_by_scatter(sum)}), shared = sum.shared / sum.low_weight;   // shared errors add by amplitude: they do not average out
   result.sigma = std::sqrt(independent * independent + shared * shared + shared_sigma * shared_sigma);
   result.photographs = static_cast<std::uint16_t>(std::min<std::uint32_t>(sum.photographs, 65535));
   return result;

@@ -13,10 +13,11 @@ struct Accumulator {
   float low_weight = 0, low[3] = {0, 0, 0};      ///< sum of w, w * low band
   float low_variance = 0;                        ///< sum of (w sigma)^2
   float shared = 0;                              ///< sum of w * shared deviation
+  float weight_square = 0, low_square = 0;       ///< sum of w^2, w * (low band, mean of the channels)^2: how far the readings scatter
   std::uint32_t photographs = 0;
   std::uint32_t rejected = 0;                    ///< readings that disagreed with the majority and were left out
 };
-static_assert(sizeof(Accumulator) == 72);
+static_assert(sizeof(Accumulator) == 80);
 
 /// Adds one photograph's reading.
 void add_sample(Accumulator& sum, const Sample& sample, float high_band_power);
@@ -26,6 +27,7 @@ struct BlendedSurfel {
   float sigma = 0;         ///< NaN: unseen
   std::uint16_t photographs = 0;
 };
+/// sigma: the larger one of what the readings' own deviations say and what their scatter says; readings that contradict each other show in it.
 /// shared_sigma is a relative deviation that all photographs have in common; it joins the one that their pixels carry.
 BlendedSurfel resolve(const Accumulator& sum, float shared_sigma);
 

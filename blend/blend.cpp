@@ -37,7 +37,7 @@ void add_raster(Hasher& hash, const std::filesystem::path& path) {
 /// Everything that the accumulators depend on.
 std::string accumulator_key(const stream::Store& store, const std::vector<const BlendPhotograph*>& photographs, const BlendOptions& options) {
   Hasher hash;
-  hash.add("blend accumulators 4").add(store.manifest().key).add(std::uint64_t{store.chunks().size()});
+  hash.add("blend accumulators 5").add(store.manifest().key).add(std::uint64_t{store.chunks().size()});
   hash.add(options.low_band_px).add(options.border_px).add(options.high_band_power);
   hash.add(std::uint64_t{options.reject}).add(static_cast<std::uint64_t>(options.gain)).add(std::uint64_t{options.align});
   for (const BlendPhotograph* p : photographs) {

@@ -513,7 +513,7 @@ class Pipeline {
 
   void blend(const stream::Store& store) {
     std::vector<blend::BlendPhotograph> photographs;
-    Hasher h = keyed("blend 3");
+    Hasher h = keyed("blend 4");
     h.add(store_key_);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {

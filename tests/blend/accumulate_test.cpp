@@ -11,13 +11,35 @@ Sample sample(float weight, float low, float high, float sigma) { return {0, wei
 
 TEST(Accumulate, TwoPhotographsByHand) {
   Accumulator sum;
-  add_sample(sum, sample(1, 0.4f, 0.1f, 0.02f), 2);
+  add_sample(sum, sample(1, 0.6f, 0.1f, 0.02f), 2);
   add_sample(sum, sample(3, 0.6f, -0.1f, 0.04f), 2);
   const BlendedSurfel s = resolve(sum, 0.03f);
-  EXPECT_NEAR(s.albedo[0], (0.4f + 3 * 0.6f) / 4 + (0.1f - 9 * 0.1f) / 10, 1e-6f);
+  EXPECT_NEAR(s.albedo[0], 0.6f + (0.1f - 9 * 0.1f) / 10, 1e-6f);
   EXPECT_EQ(s.photographs, 2);
   const float low = std::hypot(0.02f, 3 * 0.04f) / 4, high = std::hypot(0.02f, 9 * 0.04f) / 10;
   EXPECT_NEAR(s.sigma, std::hypot(std::max(low, high), 0.03f), 1e-6f);
+  // another low band: mean 0.55, variance (0.16 + 3 * 0.36) / 4 - 0.55^2 = 0.0075, as good as 16 / 10 readings of equal weight
+  Accumulator apart;
+  add_sample(apart, sample(1, 0.4f, 0.1f, 0.02f), 2);
+  add_sample(apart, sample(3, 0.6f, -0.1f, 0.04f), 2);
+  EXPECT_NEAR(resolve(apart, 0.03f).albedo[0], (0.4f + 3 * 0.6f) / 4 + (0.1f - 9 * 0.1f) / 10, 1e-6f);
+  EXPECT_NEAR(resolve(apart, 0).sigma, std::sqrt(0.0075f / 0.6f) / 0.55f, 1e-5f);
+}
+
+TEST(Accumulate, ContradictionShowsInSigma) {
+  Accumulator agree, contradict;
+  for (const float value : {0.5f, 0.5f, 0.5f}) add_sample(agree, sample(1, value, 0, 0.01f), 2);
+  for (const float value : {0.3f, 0.5f, 0.7f}) add_sample(contradict, sample(1, value, 0, 0.01f), 2);
+  EXPECT_NEAR(resolve(agree, 0).sigma, 0.01f / std::sqrt(3.0f), 1e-5f);
+  // variance of the three 0.08 / 3, of their mean (0.08 / 3) / 2, relative to 0.5
+  EXPECT_NEAR(resolve(contradict, 0).sigma, std::sqrt(0.08f / 6) / 0.5f, 1e-4f);
+  Accumulator one_counts;   // the second reading has next to no weight: the two are as good as one
+  add_sample(one_counts, sample(1, 0.5f, 0, 0.01f), 2);
+  add_sample(one_counts, sample(1e-9f, 0.9f, 0, 0.01f), 2);
+  EXPECT_NEAR(resolve(one_counts, 0).sigma, 0.01f, 1e-5f);
+  Accumulator dark;
+  for (int i = 0; i < 3; ++i) add_sample(dark, sample(1, 0, 0, 0.01f), 2);
+  EXPECT_TRUE(std::isfinite(resolve(dark, 0).sigma));
 }
 
 TEST(Accumulate, WhatPhotographsHaveInCommonDoesNotAverageOut) {
