@@ -5,6 +5,8 @@
 /// but for what only one of them sees. Measured on a rendered tower (difference between the low bands of two photographs of one surfel): 0.15-0.45 % of the
 /// albedo, against 0.4-0.7 % for box filters in the image whose widths follow footprint and slant; those added a tenth to the final error.
 #pragma once
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -22,33 +24,47 @@ struct SurfacePixel {
   float area = 0;                   ///< surface covered, any unit common to the image
   Vec3f albedo = Vec3f::Zero();
   Vec3f normal = Vec3f::Zero();
-  float quality = 0, cosv = 0;
+  float cosv = 0;
 };
 
 /// Means over the surface around a pixel.
 struct SurfaceMean {
   Vec3f albedo = Vec3f::Zero();
-  float quality = 0, cosv = 0;      ///< over the part of the surroundings that faces the same way: the other side of a crease says nothing about this one
+  float cosv = 0;      ///< over the part of the surroundings that faces the same way: the other side of a crease says nothing about this one
   bool valid = false;
+};
+
+/// Pixels of an image, a plane a number: sums over them take four at a time.
+class SurfacePlanes {
+ public:
+  SurfacePlanes() = default;
+  SurfacePlanes(int width, int rows);
+  int width() const { return width_; }
+  int rows() const { return rows_; }
+  SurfacePixel at(int x, int y) const;
+  void set(int x, int y, const SurfacePixel& pixel);
+  enum Plane { kX, kY, kZ, kArea, kRed, kGreen, kBlue, kNormalX, kNormalY, kNormalZ, kCos, kPlanes };
+  /// Row of a plane. Up to three floats beyond its end may be read: they have no area.
+  const float* row(Plane plane, int y) const { return &values_[plane][static_cast<std::size_t>(y) * stride_]; }
+  static std::size_t bytes_per_pixel() { return kPlanes * sizeof(float); }
+
+ private:
+  int width_ = 0, rows_ = 0;
+  std::size_t stride_ = 0;
+  std::array<std::vector<float>, kPlanes> values_;
 };
 
 /// Pixels and their means over blocks of 2, 4, 8, 16 pixels, so that a mean takes about as many samples at any radius.
 class SurfacePyramid {
  public:
-  /// pixels: row-major, whole rows; the first row is a multiple of kPyramidRows in the image. Samples farther apart than radius / 2 share no block.
-  SurfacePyramid(std::vector<SurfacePixel> pixels, int width, int rows, float radius);
+  /// pixels: whole rows; the first row is a multiple of kPyramidRows in the image. Samples farther apart than radius / 2 share no block.
+  SurfacePyramid(SurfacePlanes pixels, float radius);
   /// footprint: side of this pixel on the surface, across the view.
   SurfaceMean mean(int x, int y, float footprint) const;
-  const SurfacePixel& pixel(int x, int y) const { return levels_[0].at(x, y); }
 
  private:
-  struct Level {
-    int width = 0, rows = 0;
-    std::vector<SurfacePixel> blocks;
-    const SurfacePixel& at(int x, int y) const { return blocks[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)]; }
-  };
-  static Level halve(const Level& fine, float radius);
-  std::vector<Level> levels_;
+  static SurfacePlanes halve(const SurfacePlanes& fine, float radius);
+  std::vector<SurfacePlanes> levels_;
   float radius_ = 0;
 };
 

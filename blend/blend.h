@@ -2,11 +2,13 @@
 ///
 /// source: after Pintus, Gobbetti, Callieri, "Fast Low-Memory Seamless Photo Blending on Massive Point Clouds using a Streaming Framework", JOCCH 2011.
 #pragma once
+#include <array>
 #include <filesystem>
 #include <span>
 #include <string>
 #include <vector>
 
+#include "blend/inspect.h"
 #include "stream/base/budget.h"
 #include "stream/base/report.h"
 #include "stream/photo/camera.h"
@@ -22,23 +24,39 @@ struct BlendPhotograph {
   std::filesystem::path radiance;  ///< raster of stream/photo/develop.h: u8 plane `mask`, bit 1 usable, 2 saturated, 4 not finite
 };
 
+/// Factors that bring photographs to the same brightness, from the surfels that they share: none, one each, or one a channel.
+enum class Gain { kNone, kGrey, kChannels };
+
 struct BlendOptions {
   std::string layer = "albedo";
   std::string provenance_json = "{}";
   double low_band_px = 8;          ///< radius of the filter that splits the low from the high band, in pixels of the finest photograph there
-  double border_px = 24;           ///< weights rise from 0 at image borders, mask borders and silhouettes over this many pixels
-  double high_band_power = 4;      ///< weights of the high band are raised to this power: the best photograph wins
+  double border_px = 12;           ///< weights rise from 0 at image borders, mask borders and silhouettes over this many pixels
+  double high_band_power = 1.5;      ///< weights of the high band are raised to this power: better photographs count more
   double shared_sigma = 0;         ///< relative sd that all photographs share (lights): added to the result, does not average out
+  bool reject = true;              ///< readings that a majority of the photographs contradicts are left out
+  Gain gain = Gain::kGrey;
+  bool align = true;               ///< photographs that lie beside what the others show are read where they show it
   void validate() const;
 };
 
-struct BlendStats {
-  std::uint64_t points = 0, points_seen = 0, samples = 0, chunks_visited = 0;
-  std::vector<std::uint64_t> samples_per_photograph;
+struct PhotographStats {
+  std::uint64_t samples = 0;       ///< readings that are in the result
+  std::uint64_t rejected = 0;      ///< readings that the majority outvoted
+  std::array<double, 3> gain{1, 1, 1};   ///< its values were multiplied by this
+  Inspection inspection;
+  Alignment alignment;
 };
 
-/// Writes layer `options.layer` (albedo, sigma, photos) of the store and filters it to the inner nodes. Accumulators live on disk beside the store
-/// (scratch), one chunk and one band of image rows in memory at a time. The result does not depend on threads, budget or order of photographs.
+struct BlendStats {
+  std::uint64_t points = 0, points_seen = 0, points_disputed = 0, samples = 0, chunks_visited = 0;   ///< disputed: a reading was outvoted there
+  double scatter = 0;              ///< median distance of two readings of a point, relative, largest channel
+  std::vector<PhotographStats> photographs;   ///< in the caller's order
+};
+
+/// Writes layer `options.layer` (albedo, sigma, photos) of the store and filters it to the inner nodes. Photographs are taken twice: once to hear what
+/// each says of a surfel, once to add up what the majority does not contradict. State lives on disk beside the store (scratch), one chunk and one band
+/// of image rows in memory at a time. The result does not depend on threads, budget or order of photographs.
 /// throws Error, Cancelled.
 BlendStats blend(const stream::Store& store, std::span<const BlendPhotograph> photographs, const BlendOptions& options,
                  const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report);

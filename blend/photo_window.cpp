@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
 #include "blend/view_weights.h"
 #include "stream/base/error.h"
@@ -23,7 +24,7 @@ void check_raster(const stream::RasterReader& raster, const std::filesystem::pat
 struct Preparation {
   int width = 0, y0 = 0, rows = 0;
   std::vector<WindowPixel> pixels;
-  std::vector<SurfacePixel> surface;
+  SurfacePlanes surface;
   std::vector<float> cosv, edge;
   std::vector<std::uint8_t> masked, saturated;
   std::size_t size() const { return static_cast<std::size_t>(width) * static_cast<std::size_t>(rows); }
@@ -59,7 +60,7 @@ void read_mask(const PhotographRasters& rasters, Preparation& p) {
   }
 }
 
-/// Albedo, quality and place on the surface of the pixels that may be used.
+/// Albedo, quality (kept in `weight` until the bands are split) and place on the surface of the pixels that may be used.
 void read_values(const PhotographRasters& rasters, Preparation& p, const stream::Lens& lens, const WindowOptions& options) {
   const stream::RasterReader& a = rasters.albedo();
   for_plane(a, "r", p, [&](std::size_t i, float v) { p.pixels[i].low.x() = v; });   // the albedo itself until the bands are split
@@ -70,7 +71,7 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
   const stream::RasterReader& g = rasters.gbuffer();
   const auto coverage = g.rows<float>("coverage", p.y0, p.rows);
   const auto spread = g.has("spread") ? g.rows<float>("spread", p.y0, p.rows) : std::vector<float>();
-  p.surface.resize(p.size());
+  p.surface = SurfacePlanes(p.width, p.rows);
   parallel_blocks(p.size(), 1 << 14, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       WindowPixel& pixel = p.pixels[i];
@@ -79,11 +80,13 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
       if (!(pixel.depth > 0) || p.masked[i] || p.saturated[i] || !pixel.low.allFinite() || !pixel.normal.allFinite() || !std::isfinite(pixel.radius) ||
           !(p.edge[i] > kMixedPixels) || !(p.cosv[i] > kLeastViewCos) || !(quality > 0))
         continue;
-      const Vec2d middle(static_cast<double>(i % static_cast<std::size_t>(p.width)) + 0.5, static_cast<double>(i / static_cast<std::size_t>(p.width)) + p.y0 + 0.5);
+      const auto x = static_cast<int>(i % static_cast<std::size_t>(p.width)), y = static_cast<int>(i / static_cast<std::size_t>(p.width));
+      const Vec2d middle(x + 0.5, y + p.y0 + 0.5);
       const auto direction = stream::unproject(lens, middle);
       if (!direction) continue;
       const float side = pixel.footprint / options.reference_footprint;
-      p.surface[i] = {Vec3f((*direction * static_cast<double>(pixel.depth)).cast<float>()), side * side / p.cosv[i], pixel.low, pixel.normal, quality, p.cosv[i]};
+      p.surface.set(x, y, {Vec3f((*direction * static_cast<double>(pixel.depth)).cast<float>()), side * side / p.cosv[i], pixel.low, pixel.normal, p.cosv[i]});
+      pixel.weight = quality;
     }
   });
 }
@@ -91,17 +94,20 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
 void split_bands(Preparation& p, const WindowOptions& options, int first, int last) {
   const auto to_mask = distance_to_marked(p.masked, p.width, p.rows, options.border_px);
   const auto to_saturated = distance_to_marked(p.saturated, p.width, p.rows, saturation_ramp_px(options.border_px));
-  const SurfacePyramid surface(std::move(p.surface), p.width, p.rows, options.low_radius);
+  const SurfacePyramid surface(std::move(p.surface), options.low_radius);
   parallel_blocks(static_cast<std::size_t>(last - first), 2, [&](std::size_t y0, std::size_t y1) {
     for (int y = first + static_cast<int>(y0); y < first + static_cast<int>(y1); ++y)
       for (int x = 0; x < p.width; ++x) {
         const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(p.width) + static_cast<std::size_t>(x);
         WindowPixel& pixel = p.pixels[i];
         const SurfaceMean mean = surface.mean(x, y, pixel.footprint);
-        if (!mean.valid) continue;
+        if (!mean.valid) {
+          pixel.weight = 0;
+          continue;
+        }
         pixel.high = pixel.low - mean.albedo;
         pixel.low = mean.albedo;
-        pixel.weight = mean.quality * angle_weight(mean.cosv) * pixel_ramp({.edge_px = p.edge[i], .mask_px = to_mask[i], .saturated_px = to_saturated[i]}, options.border_px);
+        pixel.weight *= angle_weight(mean.cosv) * pixel_ramp({.edge_px = p.edge[i], .mask_px = to_mask[i], .saturated_px = to_saturated[i]}, options.border_px);
       }
   });
 }
@@ -116,17 +122,17 @@ PhotographRasters::PhotographRasters(const stream::Lens& lens, const std::filesy
   check_raster(radiance_, radiance, lens, {"mask"});
 }
 
-void FootprintHistogram::add(float footprint) {
-  if (!(footprint > 0) || !std::isfinite(footprint)) return;
-  const int step = std::clamp(static_cast<int>(std::floor((std::log2(footprint) - kLowest) * kSteps)), 0, static_cast<int>(counts_.size()) - 1);
+void OctaveHistogram::add(float value) {
+  if (!(value > 0) || !std::isfinite(value)) return;
+  const int step = std::clamp(static_cast<int>(std::floor((std::log2(value) - kLowest) * kSteps)), 0, static_cast<int>(counts_.size()) - 1);
   ++counts_[static_cast<std::size_t>(step)];
 }
 
-void FootprintHistogram::merge(const FootprintHistogram& other) {
+void OctaveHistogram::merge(const OctaveHistogram& other) {
   for (std::size_t i = 0; i < counts_.size(); ++i) counts_[i] += other.counts_[i];
 }
 
-float FootprintHistogram::median() const {
+float OctaveHistogram::median() const {
   std::uint64_t total = 0, below = 0;
   for (const std::uint64_t n : counts_) total += n;
   for (std::size_t i = 0; i < counts_.size(); ++i)
@@ -134,27 +140,47 @@ float FootprintHistogram::median() const {
   return 0;
 }
 
-float FootprintHistogram::smallest() const {
+float OctaveHistogram::smallest() const {
   for (std::size_t i = 0; i < counts_.size(); ++i)
     if (counts_[i] > 0) return static_cast<float>(std::exp2(static_cast<double>(i) / kSteps + kLowest));
   return 0;
 }
 
-FootprintHistogram footprints(const PhotographRasters& rasters) {
+namespace {
+
+/// Counts what `add_rows(histogram, y0, rows)` adds, by bands of rows in parallel.
+OctaveHistogram count_rows(int height, const std::function<void(OctaveHistogram&, int, int)>& add_rows) {
   constexpr int kRows = 64;
-  const std::size_t num_blocks = static_cast<std::size_t>((rasters.height() + kRows - 1) / kRows);
-  std::vector<FootprintHistogram> partial(num_blocks);
+  const auto num_blocks = static_cast<std::size_t>((height + kRows - 1) / kRows);
+  std::vector<OctaveHistogram> partial(num_blocks);
   parallel_blocks(num_blocks, 1, [&](std::size_t b0, std::size_t b1) {
     for (std::size_t b = b0; b < b1; ++b) {
-      const int y0 = static_cast<int>(b) * kRows, rows = std::min(kRows, rasters.height() - y0);
-      const auto depth = rasters.gbuffer().rows<float>("depth", y0, rows), footprint = rasters.gbuffer().rows<float>("footprint", y0, rows);
-      for (std::size_t i = 0; i < depth.size(); ++i)
-        if (depth[i] > 0) partial[b].add(footprint[i]);
+      const int y0 = static_cast<int>(b) * kRows;
+      add_rows(partial[b], y0, std::min(kRows, height - y0));
     }
   });
-  FootprintHistogram sum;
-  for (const FootprintHistogram& h : partial) sum.merge(h);
+  OctaveHistogram sum;
+  for (const OctaveHistogram& h : partial) sum.merge(h);
   return sum;
+}
+
+}  // namespace
+
+OctaveHistogram footprints(const PhotographRasters& rasters) {
+  return count_rows(rasters.height(), [&](OctaveHistogram& counts, int y0, int rows) {
+    const auto depth = rasters.gbuffer().rows<float>("depth", y0, rows), footprint = rasters.gbuffer().rows<float>("footprint", y0, rows);
+    for (std::size_t i = 0; i < depth.size(); ++i)
+      if (depth[i] > 0) counts.add(footprint[i]);
+  });
+}
+
+OctaveHistogram brightnesses(const PhotographRasters& rasters) {
+  return count_rows(rasters.height(), [&](OctaveHistogram& counts, int y0, int rows) {
+    const auto depth = rasters.gbuffer().rows<float>("depth", y0, rows), red = rasters.albedo().rows<float>("r", y0, rows), green = rasters.albedo().rows<float>("g", y0, rows),
+               blue = rasters.albedo().rows<float>("b", y0, rows);
+    for (std::size_t i = 0; i < depth.size(); ++i)
+      if (depth[i] > 0) counts.add((red[i] + green[i] + blue[i]) / 3);
+  });
 }
 
 int halo_rows(const WindowOptions& options, float smallest_footprint) {
@@ -164,18 +190,18 @@ int halo_rows(const WindowOptions& options, float smallest_footprint) {
 
 std::size_t window_bytes_per_pixel() {
   // pixel, surface and its coarser levels, cosv and edge, masks, two distances with their work array or two planes on the way in
-  return sizeof(WindowPixel) + sizeof(SurfacePixel) * 4 / 3 + 2 * sizeof(float) + 2 + 3 * sizeof(float);
+  return sizeof(WindowPixel) + SurfacePlanes::bytes_per_pixel() * 4 / 3 + 2 * sizeof(float) + 2 + 3 * sizeof(float);
 }
 
-PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int halo, const WindowOptions& options) {
+PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options) {
   Preparation p;
   p.width = rasters.width();
-  p.y0 = std::max(0, y0 - 1 - halo + kPyramidRows - 1) / kPyramidRows * kPyramidRows;
-  p.rows = std::min(rasters.height(), (y1 + 1 + halo) / kPyramidRows * kPyramidRows) - p.y0;
+  p.y0 = std::max(0, y0 - margin - halo + kPyramidRows - 1) / kPyramidRows * kPyramidRows;
+  p.rows = std::min(rasters.height(), (y1 + margin + halo) / kPyramidRows * kPyramidRows) - p.y0;
   PhotoWindow window;
   window.width = p.width;
-  window.y0 = std::max(0, y0 - 1);
-  window.rows = std::min(rasters.height(), y1 + 1) - window.y0;
+  window.y0 = std::max(0, y0 - margin);
+  window.rows = std::min(rasters.height(), y1 + margin) - window.y0;
   const int first = window.y0 - p.y0;
 
   p.pixels.resize(p.size());

@@ -26,26 +26,29 @@ class PhotographRasters {
   stream::RasterReader gbuffer_, albedo_, radiance_;
 };
 
-/// Counts of footprints (project units) on a logarithmic scale, 16 steps an octave: their median fixes the surface scale of the bands.
-class FootprintHistogram {
+/// Counts of positive values on a logarithmic scale, 16 steps an octave.
+class OctaveHistogram {
  public:
-  void add(float footprint);
-  void merge(const FootprintHistogram& other);
+  void add(float value);
+  void merge(const OctaveHistogram& other);
   /// Centre of the median's step; 0 if nothing was counted.
   float median() const;
   /// Lower end of the lowest step that holds something; 0 if none does.
   float smallest() const;
 
  private:
-  static constexpr int kSteps = 16, kLowest = -40, kHighest = 40;   // octaves: 1e-12 .. 1e12 project units
+  static constexpr int kSteps = 16, kLowest = -40, kHighest = 40;   // octaves: 1e-12 .. 1e12
   std::vector<std::uint64_t> counts_ = std::vector<std::uint64_t>(static_cast<std::size_t>((kHighest - kLowest) * kSteps), 0);
 };
-FootprintHistogram footprints(const PhotographRasters& rasters);
+/// Footprints (project units) of the pixels that see something: their median fixes the surface scale of the bands.
+OctaveHistogram footprints(const PhotographRasters& rasters);
+/// Albedos of these pixels, mean of the channels.
+OctaveHistogram brightnesses(const PhotographRasters& rasters);
 
 struct WindowOptions {
   float low_radius = 0;           ///< project units: the split between the bands
   float reference_footprint = 1;  ///< project units
-  float border_px = 24;
+  float border_px = 12;
 };
 
 /// One pixel as the surfels read it. weight 0: not to be read.
@@ -70,7 +73,7 @@ int halo_rows(const WindowOptions& options, float smallest_footprint);
 /// Memory while a window is prepared, per pixel, halo included.
 std::size_t window_bytes_per_pixel();
 
-/// Pixels whose surfels belong to rows [y0, y1), with one row more on both sides for interpolation.
-PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int halo, const WindowOptions& options);
+/// Pixels whose surfels belong to rows [y0, y1), with `margin` rows more on both sides: one for interpolation, more where it is read beside the surfel.
+PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options);
 
 }  // namespace chiaro::blend

@@ -33,6 +33,43 @@ Prediction predict(const WindowPixel& pixel, const Vec3f& direction, const Pixel
   return {pixel.depth * pixel.normal.dot(towards_pixel) / pixel.normal.dot(direction), c};
 }
 
+/// A surfel before a camera.
+struct SurfelView {
+  Vec2d pixel;
+  Vec3f direction;
+  PixelAxes axes;
+  float distance = 0, radius = 0;
+};
+
+/// Bilinear at `place`, from the pixels whose planes, carried on to the surfel, meet it.
+std::optional<Sample> read_at(const SurfelView& view, const Vec2d& place, const PhotoWindow& window) {
+  const int x0 = static_cast<int>(std::floor(place.x() - 0.5)), y0 = static_cast<int>(std::floor(place.y() - 0.5));
+  Sample sample;
+  float agreeing = 0;
+  for (int k = 0; k < 4; ++k) {
+    const int x = x0 + (k & 1), y = y0 + (k >> 1);
+    const WindowPixel* p = window.at(x, y);
+    if (!p || !(p->weight > 0)) continue;
+    const auto share = static_cast<float>((1 - std::abs(x + 0.5 - place.x())) * (1 - std::abs(y + 0.5 - place.y())));
+    if (!(share > 0)) continue;
+    const auto du = static_cast<float>(x + 0.5 - view.pixel.x()), dv = static_cast<float>(y + 0.5 - view.pixel.y());
+    const Prediction seen = predict(*p, view.direction, view.axes, du, dv);
+    if (!(std::abs(view.distance - seen.distance) <= visibility_tolerance(view.radius, p->radius, p->footprint, seen.cosv))) continue;
+    agreeing += share;
+    sample.weight += share * p->weight;
+    sample.sigma += share * p->sigma;
+    sample.shared += share * p->shared;
+    sample.low += share * p->low;
+    sample.high += share * p->high;
+  }
+  if (!(sample.weight > 0) || agreeing < 0.25f) return std::nullopt;   // less than a quarter is extrapolation
+  sample.sigma /= agreeing;
+  sample.shared /= agreeing;
+  sample.low /= agreeing;
+  sample.high /= agreeing;
+  return sample;
+}
+
 std::vector<Vec3d> box_points(const Box3d& box) {
   std::vector<Vec3d> points;
   const Vec3d half = 0.5 * (box.max - box.min), centre = box.min + half;
@@ -56,41 +93,22 @@ std::optional<Vec2d> project_surfel(const stream::Camera& camera, const stream::
   return pixel;
 }
 
-std::optional<Sample> read_surfel(const stream::Camera& camera, const stream::Surfel& surfel, const Vec2d& pixel, const PhotoWindow& window) {
+std::optional<Sample> read_surfel(const stream::Camera& camera, const stream::Surfel& surfel, const Vec2d& pixel, const Vec2f& shift_px, const PhotoWindow& window) {
   const Vec3d from_camera = surfel.position_in_world - camera.pose.centre_in_world();
   const double distance = from_camera.norm();
   const Vec3f direction = (from_camera / distance).cast<float>();
   if ((surfel.flags & stream::SurfelBlock::kOriented) != 0 && surfel.normal.dot(direction) >= 0) return std::nullopt;
-  const PixelAxes axes = pixel_axes(camera.pose.rotation_camera_from_world, direction);
-
-  const int x0 = static_cast<int>(std::floor(pixel.x() - 0.5)), y0 = static_cast<int>(std::floor(pixel.y() - 0.5));
-  Sample sample;
-  float agreeing = 0;
-  for (int k = 0; k < 4; ++k) {
-    const int x = x0 + (k & 1), y = y0 + (k >> 1);
-    const WindowPixel* p = window.at(x, y);
-    if (!p || !(p->weight > 0)) continue;
-    const auto du = static_cast<float>(x + 0.5 - pixel.x()), dv = static_cast<float>(y + 0.5 - pixel.y());
-    const float share = (1 - std::abs(du)) * (1 - std::abs(dv));
-    if (!(share > 0)) continue;
-    const Prediction seen = predict(*p, direction, axes, du, dv);
-    if (!(std::abs(static_cast<float>(distance) - seen.distance) <= visibility_tolerance(surfel.radius, p->radius, p->footprint, seen.cosv))) continue;
-    agreeing += share;
-    sample.weight += share * p->weight;
-    sample.sigma += share * p->sigma;
-    sample.shared += share * p->shared;
-    sample.low += share * p->low;
-    sample.high += share * p->high;
-  }
-  if (!(sample.weight > 0) || agreeing < 0.25f) return std::nullopt;   // less than a quarter is extrapolation
-  sample.sigma /= agreeing;
-  sample.shared /= agreeing;
-  sample.low /= agreeing;
-  sample.high /= agreeing;
+  const SurfelView view{pixel, direction, pixel_axes(camera.pose.rotation_camera_from_world, direction), static_cast<float>(distance), surfel.radius};
+  auto sample = read_at(view, pixel + shift_px.cast<double>(), window);
+  if (!sample || shift_px == Vec2f::Zero()) return sample;
+  // Pixels are mixed where the surface itself ends, which is at its own place, whatever the photograph is shifted by.
+  const auto own = read_at(view, pixel, window);
+  if (!own) return std::nullopt;
+  sample->weight = std::min(sample->weight, own->weight);
   return sample;
 }
 
-std::vector<Sample> sample_chunk(const stream::Chunk& chunk, const stream::Camera& camera, const PhotoWindow& window, int y0, int y1) {
+std::vector<Sample> sample_chunk(const stream::Chunk& chunk, const stream::Camera& camera, const Vec2f& shift_px, const PhotoWindow& window, int y0, int y1) {
   std::vector<Sample> samples;
   for (std::uint32_t slot = 0; slot < chunk.count; ++slot) {
     const stream::Surfel surfel = chunk.surfel(slot);
@@ -98,7 +116,7 @@ std::vector<Sample> sample_chunk(const stream::Chunk& chunk, const stream::Camer
     if (!pixel) continue;
     const int row = static_cast<int>(pixel->y());
     if (row < y0 || row >= y1) continue;
-    if (auto sample = read_surfel(camera, surfel, *pixel, window)) {
+    if (auto sample = read_surfel(camera, surfel, *pixel, shift_px, window)) {
       sample->slot = slot;
       samples.push_back(*sample);
     }

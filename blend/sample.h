@@ -24,10 +24,11 @@ float visibility_tolerance(float surfel_radius, float pixel_radius, float footpr
 /// Projects the surfel through the lens, compares its distance with the tangent planes of the four pixels around it, and reads bilinearly from those
 /// that agree; pixels beyond a depth edge take no part. nullopt: outside the image, hidden, turned away (oriented normals), or nothing usable there.
 std::optional<Vec2d> project_surfel(const stream::Camera& camera, const stream::Surfel& surfel);
-std::optional<Sample> read_surfel(const stream::Camera& camera, const stream::Surfel& surfel, const Vec2d& pixel, const PhotoWindow& window);
+/// shift_px: how far beside the surfel's own pixel the photograph shows it; the planes of the pixels there are carried on to the surfel.
+std::optional<Sample> read_surfel(const stream::Camera& camera, const stream::Surfel& surfel, const Vec2d& pixel, const Vec2f& shift_px, const PhotoWindow& window);
 
 /// All readings of a chunk whose surfels belong to image rows [y0, y1), by slot.
-std::vector<Sample> sample_chunk(const stream::Chunk& chunk, const stream::Camera& camera, const PhotoWindow& window, int y0, int y1);
+std::vector<Sample> sample_chunk(const stream::Chunk& chunk, const stream::Camera& camera, const Vec2f& shift_px, const PhotoWindow& window, int y0, int y1);
 
 /// Image rows that a box may project to: half-open, empty if it is not in view. Conservative: the whole image where the box reaches behind the camera.
 struct RowSpan {

@@ -1,7 +1,8 @@
 /// What a pixel of a photograph is worth: one small named function a criterion, the weight of a pixel is their product.
 ///
-/// Adding a criterion is one function here and one factor in pixel_quality() or pixel_ramp(). Quality factors vary from pixel to pixel with the noise
-/// of the geometry and are therefore smoothed over the surface before use; ramps are smooth by construction and reach zero at what they avoid.
+/// Adding a criterion is one function here and one factor in pixel_quality() or pixel_ramp().
+/// The quality of a pixel is its own: sigma and the spread of the light change from pixel to pixel, and smoothing them over the surface let pixels on
+/// shadow edges pass for good ones (measured on a rendered tower: error 3.5 -> 3.3 %). Ramps are smooth by construction and reach zero at what they avoid.
 /// Only ratios between photographs matter: the weights of a surfel are normalised by their sum.
 #pragma once
 #include <algorithm>
@@ -61,12 +62,12 @@ inline float saturation_weight(float distance_px, float border_px) { return smoo
 inline constexpr float kMinCoverage = 0.93f;
 inline float coverage_weight(float coverage) { return coverage >= kMinCoverage ? std::min(coverage, 1.0f) : 0.0f; }
 
-/// What a pixel offers, for the criteria above but the viewing angle, which is smoothed by itself: noise must not decide who is beyond the limit.
+/// What a pixel offers, for the criteria above but the viewing angle, which is smoothed over the surface: noise of normals must not decide who is beyond the limit.
 struct PixelEvidence {
   float footprint = 0, sigma = 0, spread = 0, coverage = 0;
 };
 
-/// Product of the criteria that follow the geometry's noise. Smoothed over the surface by the caller.
+/// Product of the criteria that need no surroundings.
 inline float pixel_quality(const PixelEvidence& e, float reference_footprint) {
   return footprint_weight(e.footprint, reference_footprint) * sigma_weight(e.sigma) * incidence_weight(e.spread) * coverage_weight(e.coverage);
 }

@@ -17,7 +17,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 struct Words {
-  std::string a, b, mask, out;
+  std::string a, b, mask, out, picture;
   bool srgb = false, as_stored = false;
   double peak = 1;
   int threads = 0;
@@ -54,6 +54,7 @@ void print_points(const Words& words, const PointComparison& r, Console& console
     Json out{{"kind", "points"}, {"a", words.a}, {"b", words.b}, {"values", r.compared_values}, {"points", r.points}, {"compared", r.compared}, {"unseen_a", r.unseen_a},
              {"unseen_b", r.unseen_b}, {"difference", json_of(r.difference)}, {"relative", json_of(r.relative)}, {"relative_error", number(r.relative.mean)}, {"rms", number(r.rms)},
              {"bias", number(r.bias)}, {"scale", number(r.scale)}, {"relative_scaled", json_of(r.relative_scaled)}, {"delta_e", number(r.delta_e)}};
+    if (!words.picture.empty()) out["picture"] = {{"file", words.picture}, {"range", number(r.picture_range)}};
     return console.result(out.dump(-1, ' ', false, Json::error_handler_t::replace));
   }
   Table table({r.compared_values, "mean", "median", "p95", "max"});
@@ -68,6 +69,7 @@ void print_points(const Words& words, const PointComparison& r, Console& console
   more.row({"scale", format_number(r.scale, 5), "factor on A that fits B best"});
   more.row({"delta_e", format_number(r.delta_e), "mean CIEDE2000"});
   more.row({"points", format_count(r.compared), concat("of ", format_count(r.points), "; unseen in A ", format_count(r.unseen_a), ", in B ", format_count(r.unseen_b))});
+  if (!words.picture.empty()) more.row({"picture", words.picture, concat("full colour at relative differences of ", format_number(r.picture_range))});
   console.out() << more.text();
 }
 
@@ -86,6 +88,7 @@ int run_compare(std::span<const std::string> args, Console& console) {
   parser.flag("--as-stored", words.as_stored, "pictures: take 8-bit files and PNG as linear");
   parser.option("--peak", words.peak, "pictures: the value of white, for psnr", "VALUE", 1e-6, 1e9);
   parser.option("--out", words.out, "points: write the difference of each point to this .ply, .las or .pcd", "FILE");
+  parser.option("--picture", words.picture, "points: draw the differences on the cloud, from six sides; blue: A darker, red: A brighter", "FILE.png");
   parser.option("--threads", words.threads, "threads; 0 = all cores", "N", 0, 4096);
   parser.common(console);
   if (!parser.parse(args, console)) return 0;
@@ -97,10 +100,11 @@ int run_compare(std::span<const std::string> args, Console& console) {
     for (const char* flag : {"--mask", "--srgb", "--as-stored", "--peak"})
       if (parser.count(flag)) throw UsageError(concat("chiaro compare: ", flag, " is for pictures"));
     // JSON output is one line: programs read it as a whole.
-    print_points(words, compare_points(words.a, words.b, words.out, console.json ? silent_reporter() : console.report()), console);
+    print_points(words, compare_points(words.a, words.b, words.out, console.json ? silent_reporter() : console.report(), words.picture), console);
     return 0;
   }
   if (!words.out.empty()) throw UsageError("chiaro compare: --out is for points");
+  if (!words.picture.empty()) throw UsageError("chiaro compare: --picture is for points");
   CompareImagesOptions options;
   options.mask = words.mask;
   options.srgb = words.srgb;

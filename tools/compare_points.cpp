@@ -7,12 +7,15 @@
 #include <cstring>
 #include <functional>
 #include <limits>
+#include <optional>
 #include <vector>
 
 #include "stream/base/error.h"
 #include "stream/cloud/point_stream.h"
 #include "tools/colour_source.h"
+#include "tools/compare_picture.h"
 #include "tools/metrics.h"
+#include "tools/table.h"
 
 namespace chiaro::tools {
 namespace {
@@ -68,6 +71,18 @@ double relative_of(const Vec3f& a, const Vec3f& b) {
   for (int c = 0; c < 3; ++c)
     if (b[c] > kDarkest) {
       sum += std::abs(static_cast<double>(a[c]) - static_cast<double>(b[c])) / static_cast<double>(b[c]);
+      ++channels;
+    }
+  return channels ? sum / channels : kNan;
+}
+
+/// As relative_of(), with its sign: positive where A is brighter.
+double signed_of(const Vec3f& a, const Vec3f& b) {
+  double sum = 0;
+  int channels = 0;
+  for (int c = 0; c < 3; ++c)
+    if (b[c] > kDarkest) {
+      sum += (static_cast<double>(a[c]) - static_cast<double>(b[c])) / static_cast<double>(b[c]);
       ++channels;
     }
   return channels ? sum / channels : kNan;
@@ -196,15 +211,22 @@ Sums measure(const std::string& a, const std::string& b, PointComparison& result
 
 }  // namespace
 
-PointComparison compare_points(const std::string& a, const std::string& b, const std::filesystem::path& out, Reporter& report) {
+PointComparison compare_points(const std::string& a, const std::string& b, const std::filesystem::path& out, Reporter& report, const std::filesystem::path& picture) {
   PointComparison result;
   const Sums sums = measure(a, b, result, report);
   if (result.points == 0) throw Error(concat(a, " and ", b, ": no points"));
 
   Walk walk(a, b);
-  if (!out.empty() && !walk.has_position()) throw Error(concat(out.string(), ": neither ", a, " nor ", b, " has positions to write"));
+  for (const auto& file : {out, picture})
+    if (!file.empty() && !walk.has_position()) throw Error(concat(file.string(), ": neither ", a, " nor ", b, " has positions to write"));
   std::unique_ptr<stream::PointWriter> writer;
   if (!out.empty()) writer = stream::create_points(out, difference_file(result, sums, walk.position_is_double()));
+  std::optional<DifferencePicture> drawing;
+  if (!picture.empty()) {
+    if (sums.bounds.empty()) throw Error(concat(picture.string(), ": no point has a finite position"));
+    result.picture_range = round_range(result.relative.p95);
+    drawing.emplace(sums.bounds, result.points, result.picture_range);
+  }
   constexpr std::size_t kRowsAtOnce = 1 << 14;
   std::vector<std::byte> rows;
   std::size_t num_rows = 0;
@@ -218,6 +240,7 @@ PointComparison compare_points(const std::string& a, const std::string& b, const
   walk.for_each(report, [&](const Pair& pair) {
     if (pair.is_seen())
       if (const double r = relative_of(pair.a * static_cast<float>(result.scale), pair.b); std::isfinite(r)) scaled.add(r);
+    if (drawing) drawing->add(pair.position, pair.is_seen() ? signed_of(pair.a, pair.b) : kNan);
     if (!writer) return;
     append_row(rows, pair, walk.position_is_double());
     if (++num_rows == kRowsAtOnce) flush();
@@ -228,6 +251,7 @@ PointComparison compare_points(const std::string& a, const std::string& b, const
     flush();
     writer->commit();
   }
+  if (drawing) drawing->write(picture);
   return result;
 }
 

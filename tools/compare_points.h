@@ -25,12 +25,14 @@ struct PointComparison {
   double scale = 1;                 ///< s that makes s * a nearest to b in the least squares: how much of the difference is one factor
   Distribution relative_scaled;     ///< relative difference of s * a
   double delta_e = 0;               ///< mean CIEDE2000
+  double picture_range = 0;         ///< relative difference of full colour in the picture; 0 without one
 };
 
 /// a, b: see open_colours(). B is the reference. out: where to write the differences as a point file (x y z, difference_r/g/b = a - b,
 /// difference, relative; NaN where not compared), empty = nowhere.
+/// picture: where to draw them as a PNG of the cloud from six sides (see DifferencePicture), signed: mean over the channels of (a - b) / b; empty = nowhere.
 /// Two passes over both, in bounded memory. Points are matched by their order.
 /// throws Error if the numbers of points differ, if the sources have no values in common or show different points.
-PointComparison compare_points(const std::string& a, const std::string& b, const std::filesystem::path& out, Reporter& report);
+PointComparison compare_points(const std::string& a, const std::string& b, const std::filesystem::path& out, Reporter& report, const std::filesystem::path& picture = {});
 
 }  // namespace chiaro::tools

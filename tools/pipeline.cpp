@@ -22,6 +22,7 @@
 #include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
 #include "surfels/gbuffer.h"
+#include "tools/blend_record.h"
 #include "tools/export_points.h"
 #include "tools/ingest.h"
 #include "tools/light_spread.h"
@@ -100,6 +101,15 @@ optimize::SkyModel sky_model(AmbientModel m) {
     case AmbientModel::kAuto: break;
   }
   return optimize::SkyModel::kAuto;
+}
+
+blend::Gain blend_gain(BlendGain g) {
+  switch (g) {
+    case BlendGain::kNone: return blend::Gain::kNone;
+    case BlendGain::kChannels: return blend::Gain::kChannels;
+    case BlendGain::kGrey: break;
+  }
+  return blend::Gain::kGrey;
 }
 
 class Pipeline {
@@ -565,7 +575,7 @@ class Pipeline {
 
   void blend(const stream::Store& store) {
     std::vector<blend::BlendPhotograph> photographs;
-    Hasher h = keyed("blend");
+    Hasher h = keyed("blend 4");
     h.add(store_key_);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {
@@ -573,19 +583,26 @@ class Pipeline {
         photographs.push_back({p.input->key, p.camera, folder_.gbuffer(p.input->key), folder_.albedo(p.input->key), folder_.radiance(p.input->key)});
         h.add(p.albedo_key).add(p.input->key);
       }
+    h.add(std::uint64_t{project_.blend.reject}).add(static_cast<std::uint64_t>(project_.blend.gain)).add(std::uint64_t{project_.blend.align});
     record_.count("photographs_used", photographs.size());
     layer_key_ = h.hex();
     const Json info = task("blend", layer_key_, {folder_.store() / "layers" / "albedo"}, [&] {
       blend::BlendOptions options;
       options.shared_sigma = shared_sigma();
+      options.reject = project_.blend.reject;
+      options.align = project_.blend.align;
+      options.gain = blend_gain(project_.blend.gain);
       options.provenance_json = Json{{"method", name_of(project_.method)}, {"key", layer_key_}, {"photographs", photographs.size()}}.dump();
       make_folder(folder_.scratch());
       const blend::BlendStats s = blend::blend(store, photographs, options, folder_.scratch(), budget_, report_);
-      return Json{{"points", s.points}, {"points_seen", s.points_seen}, {"samples", s.samples}, {"samples_per_photograph", s.samples_per_photograph}};
+      return Json::parse(blend_record_json(s, photographs));
     });
     record_.count("points_seen", info["points_seen"]);
     record_.count("points_unseen", info["points"].get<std::uint64_t>() - info["points_seen"].get<std::uint64_t>());
+    record_.count("points_disputed", info["points_disputed"]);
     record_.count("samples", info["samples"]);
+    for (const auto& n : info["notes"]) note_both(n.get<std::string>());
+    record_.set("blending", info.dump());
   }
 
   void residuals(const stream::Store& store) {

@@ -129,6 +129,10 @@ const Words<SolveMethod>& words_of(SolveMethod) {
                                     {"direct", SolveMethod::kDirect}, {"none", SolveMethod::kNone}};
   return w;
 }
+const Words<BlendGain>& words_of(BlendGain) {
+  static const Words<BlendGain> w{{"none", BlendGain::kNone}, {"grey", BlendGain::kGrey}, {"channels", BlendGain::kChannels}};
+  return w;
+}
 const Words<AcquisitionRole>& words_of(AcquisitionRole) {
   static const Words<AcquisitionRole> w{{"flash", AcquisitionRole::kFlash}, {"no_flash", AcquisitionRole::kNoFlash}};
   return w;
@@ -654,6 +658,7 @@ const char* name_of(Encoding value) { return word_of(value); }
 const char* name_of(AmbientModel value) { return word_of(value); }
 const char* name_of(FloorModel value) { return word_of(value); }
 const char* name_of(SolveMethod value) { return word_of(value); }
+const char* name_of(BlendGain value) { return word_of(value); }
 const char* name_of(AcquisitionRole value) { return word_of(value); }
 
 Project load_project(const fs::path& path, std::span<const std::string> overrides) {
@@ -665,7 +670,7 @@ Project load_project(const fs::path& path, std::span<const std::string> override
   if (code) throw Error(concat(path.string(), ": ", code.message()));
   const fs::path folder = project.file.parent_path();
 
-  const Section section(root, "", {"project", "cloud", "acquisition", "solve", "run", "export"});
+  const Section section(root, "", {"project", "cloud", "acquisition", "solve", "blend", "run", "export"});
   read_project(section.find("project"), project);
   read_cloud(section.need("cloud", "[cloud] with files = [\"cloud.ply\"]"), folder, project.cloud);
   const toml::node& acquisitions = section.need("acquisition", "[[acquisition]] with photographs and cameras");
@@ -674,6 +679,12 @@ Project load_project(const fs::path& path, std::span<const std::string> override
   if (const toml::node* solve = section.find("solve")) {
     const Section method(as_table(*solve, "solve"), "solve", {"method"});
     method.choice("method", project.method);
+  }
+  if (const toml::node* blend = section.find("blend")) {
+    const Section options(as_table(*blend, "blend"), "blend", {"reject", "gain", "align"});
+    if (const toml::node* reject = options.find("reject")) project.blend.reject = as_switch(*reject, "blend.reject");
+    if (const toml::node* align = options.find("align")) project.blend.align = as_switch(*align, "blend.align");
+    options.choice("gain", project.blend.gain);
   }
   read_run(section.find("run"), project);
   read_exports(section.find("export"), project);
@@ -725,6 +736,7 @@ std::string to_json(const Project& project) {
     if (acquisition.lights_of) out["acquisition"].back()["lights_of"] = project.acquisitions[*acquisition.lights_of].name;
   }
   out["solve"] = {{"method", name_of(project.method)}};
+  out["blend"] = {{"reject", project.blend.reject}, {"gain", name_of(project.blend.gain)}, {"align", project.blend.align}};
   out["run"] = {{"memory", project.memory_bytes}, {"threads", project.threads}, {"seed", project.seed}};
   out["export"] = Json::array();
   for (const ExportInput& one : project.exports) out["export"].push_back({{"file", one.file}, {"fill", one.fill}});

@@ -21,6 +21,8 @@ enum class AmbientModel { kAuto, kNone, kUniform, kSh1, kSh2 };
 /// kAuto: a floor outside the cloud is looked for, and taken where the photographs speak for it.
 enum class FloorModel { kAuto, kNone };
 enum class SolveMethod { kJoint, kSingle, kAdam, kDirect, kNone };
+/// Factors between photographs that the blend takes out: none, one each, one a channel.
+enum class BlendGain { kNone, kGrey, kChannels };
 /// What an acquisition is for: the photographs themselves, or the same views without the flash, which measure the ambient light.
 enum class AcquisitionRole { kFlash, kNoFlash };
 
@@ -32,6 +34,7 @@ const char* name_of(Encoding value);
 const char* name_of(AmbientModel value);
 const char* name_of(FloorModel value);
 const char* name_of(SolveMethod value);
+const char* name_of(BlendGain value);
 const char* name_of(AcquisitionRole value);
 
 struct CloudInput {
@@ -82,6 +85,12 @@ struct Acquisition {
   std::optional<std::size_t> lights_of;      ///< number of the acquisition whose lights (flash, ambient) these are too; always there for kNoFlash
 };
 
+struct BlendInput {
+  bool reject = true;                        ///< leave out readings that most photographs of a point contradict
+  BlendGain gain = BlendGain::kGrey;
+  bool align = true;                         ///< find photographs that lie beside what the others show, and read them there
+};
+
 struct ExportInput {
   std::string file = "albedo.ply";           ///< relative to the run's folder; .ply, .las or .pcd
   bool fill = false;                         ///< fill unseen points from their neighbours; they keep photos = 0
@@ -95,6 +104,7 @@ struct Project {
   CloudInput cloud;
   std::vector<Acquisition> acquisitions;     ///< at least one; names unique
   SolveMethod method = SolveMethod::kJoint;
+  BlendInput blend;
   std::uint64_t memory_bytes = std::uint64_t{2} << 30;
   int threads = 0;                           ///< 0 = all
   std::uint64_t seed = 1;

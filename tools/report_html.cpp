@@ -229,6 +229,29 @@ void numbers(Page& page, const ReportData& d) {
   table(page, headers, "w", rows);
 }
 
+/// What the blend found of each photograph. Runs of before it was recorded have nothing here.
+void agreement(Page& page, const ReportData& d) {
+  const Json& blending = member(d.record, "blending");
+  const Json& photographs = member(blending, "photographs");
+  if (!photographs.is_array() || photographs.empty()) return;
+  page.element("h2", "How the photographs agree");
+  page.element("p",
+               concat("Two photographs of the same point differ by ", percent(number_of(member(blending, "scatter"))), " in the middle of all pairs. Brightness is against the others, on what they show together; ",
+                      "“beside its place” is how far the photograph shows the surface from where its camera puts it. Readings are left out where most other photographs contradict them."),
+               "class=\"soft\"");
+  std::vector<std::vector<std::string>> rows;
+  for (const Json& p : photographs) {
+    const Json &gain = member(p, "gain"), &shift = member(p, "shift_px"), &region = member(p, "disturbed");
+    const double used = number_of(member(p, "samples")), rejected = number_of(member(p, "rejected"));
+    const double middle = gain.is_array() && gain.size() == 3 ? std::cbrt(number_of(gain[0]) * number_of(gain[1]) * number_of(gain[2])) : NAN;
+    const double length = shift.is_array() && shift.size() == 2 ? std::hypot(number_of(shift[0]), number_of(shift[1])) : NAN;
+    rows.push_back({text_of(member(p, "photograph")), number(1 / middle), std::isfinite(length) ? number(length) : "–", percent(rejected / (used + rejected)),
+                    region.is_object() ? concat("pixels ", count_of(member(region, "x0")), "–", count_of(member(region, "x1")), " across, ", count_of(member(region, "y0")), "–", count_of(member(region, "y1")), " down")
+                                       : std::string("–")});
+  }
+  table(page, {"photograph", "brightness", "beside its place, px", "left out", "shows something else at"}, "wnnnl", rows);
+}
+
 void how_to_read(Page& page, const ReportData& d) {
   page.element("h2", "How to read the pictures").open("dl");
   const auto say = [&](const char* name, const std::string& words) { page.element("dt", name).element("dd", words); };
@@ -361,6 +384,7 @@ std::string report_html(const ReportData& d) {
   lights(page, d);
   left_out(page, d);
   numbers(page, d);
+  agreement(page, d);
   how_to_read(page, d);
   pictures(page, d);
   times(page, d);

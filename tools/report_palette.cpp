@@ -70,17 +70,6 @@ Rgb8 cubehelix(double x) {
   return {byte_of(x + a * (-0.14861 * c + 1.78277 * s)), byte_of(x + a * (-0.29227 * c - 0.90649 * s)), byte_of(x + a * 1.97294 * c)};
 }
 
-double round_range(double value) {
-  if (!(value > 0) || !std::isfinite(value)) return 1;
-  const double exponent = std::floor(std::log10(value));
-  // Divided by a power of ten for negative exponents: 2 / 100 is the number that "0.02" means, 2 * 0.01 need not be.
-  const auto at = [&](double digit, double e) { return e < 0 ? digit / std::pow(10.0, -e) : digit * std::pow(10.0, e); };
-  for (const double e : {exponent, exponent + 1})
-    for (const double digit : {1.0, 2.0, 5.0})
-      if (at(digit, e) >= value * (1 - 1e-12)) return at(digit, e);
-  return value;
-}
-
 Rgb8 no_value(int x, int y) {
   const std::uint8_t grey = ((x >> 3) + (y >> 3)) % 2 ? 74 : 66;
   return {grey, grey, grey};

@@ -16,9 +16,6 @@ using Rgb8 = std::array<std::uint8_t, 3>;
 /// source  Green, "A colour scheme for the display of astronomical intensity images", Bull. Astr. Soc. India 39, 2011.
 Rgb8 cubehelix(double x);
 
-/// The smallest of 1, 2, 5 times a power of ten that is not below `value`; 1 where value is not positive.
-double round_range(double value);
-
 /// Grey, one of two by a chequer of 8 pixels: where a picture has no value. Cannot be taken for a colour of any scale.
 Rgb8 no_value(int x, int y);
 

@@ -94,4 +94,15 @@ std::string format_rate(double per_second) {
   return print(per_second < 99.95 ? "%.3g" : "%.0f", per_second) + suffixes[step];
 }
 
+double round_range(double value) {
+  if (!(value > 0) || !std::isfinite(value)) return 1;
+  const double exponent = std::floor(std::log10(value));
+  // Divided by a power of ten for negative exponents: 2 / 100 is the number that "0.02" means, 2 * 0.01 need not be.
+  const auto at = [&](double digit, double e) { return e < 0 ? digit / std::pow(10.0, -e) : digit * std::pow(10.0, e); };
+  for (const double e : {exponent, exponent + 1})
+    for (const double digit : {1.0, 2.0, 5.0})
+      if (at(digit, e) >= value * (1 - 1e-12)) return at(digit, e);
+  return value;
+}
+
 }  // namespace chiaro::tools

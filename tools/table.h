@@ -27,6 +27,8 @@ class Table {
 std::string format_count(std::uint64_t count);
 /// Up to `digits` significant digits without trailing zeros: 0.0312, 37.4, 1.2e-06; "nan" where it is none.
 std::string format_number(double value, int digits = 4);
+/// The smallest of 1, 2, 5 times a power of ten that is not below `value`: the end of a scale. 1 where value is not positive.
+double round_range(double value);
 /// 0.31 s, 42 s, 3 min 05 s, 2 h 11 min.
 std::string format_seconds(double seconds);
 /// 1234567 to "1.23 M", 950 to "950": for rates.

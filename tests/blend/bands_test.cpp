@@ -18,8 +18,14 @@ std::vector<SurfacePixel> flat_image(int width, int rows, const Paint& paint, in
   for (int y = 0; y < rows; ++y)
     for (int x = 0; x < width; ++x)
       pixels[static_cast<std::size_t>(y * width + x)] = {Vec3f(0.01f * static_cast<float>(x), 0.01f * static_cast<float>(y + first_row), 2), 1, paint(x, y + first_row),
-                                                         Vec3f(0, 0, -1), 1, 1};
+                                                         Vec3f(0, 0, -1), 1};
   return pixels;
+}
+SurfacePyramid pyramid(const std::vector<SurfacePixel>& pixels, int width, int rows, float radius) {
+  SurfacePlanes planes(width, rows);
+  for (int y = 0; y < rows; ++y)
+    for (int x = 0; x < width; ++x) planes.set(x, y, pixels[static_cast<std::size_t>(y * width + x)]);
+  return {std::move(planes), radius};
 }
 Vec3f noise_at(int x, int y) {
   const auto u = uniform01x4(7, Purpose::kTest, static_cast<std::uint64_t>(y) * 4096 + static_cast<std::uint64_t>(x), 0);
@@ -28,7 +34,7 @@ Vec3f noise_at(int x, int y) {
 
 TEST(Bands, TheMeanOfABallOfTwoPixelsByHand) {
   // radius 2 pixels, weight 1 - (distance / radius)^2: the pixel counts 1, its four neighbours 3/4, the diagonal ones 1/2, together 6
-  const SurfacePyramid surface(flat_image(16, 16, [](int x, int y) { return Vec3f::Constant(x == 8 && y == 8 ? 1.0f : 0.0f); }), 16, 16, 0.02f);
+  const SurfacePyramid surface = pyramid(flat_image(16, 16, [](int x, int y) { return Vec3f::Constant(x == 8 && y == 8 ? 1.0f : 0.0f); }), 16, 16, 0.02f);
   EXPECT_NEAR(surface.mean(8, 8, 0.01f).albedo[0], 1 / 6.0f, 1e-4f);
   EXPECT_NEAR(surface.mean(9, 8, 0.01f).albedo[0], 0.75f / 6, 1e-4f);
   EXPECT_NEAR(surface.mean(9, 9, 0.01f).albedo[0], 0.5f / 6, 1e-4f);
@@ -37,7 +43,7 @@ TEST(Bands, TheMeanOfABallOfTwoPixelsByHand) {
 
 TEST(Bands, AConstantStaysConstantAtAnyRadius) {
   for (const float radius : {0.005f, 0.02f, 0.09f, 0.3f, 0.64f}) {
-    const SurfacePyramid surface(flat_image(80, 64, [](int, int) { return Vec3f::Constant(0.3f); }), 80, 64, radius);
+    const SurfacePyramid surface = pyramid(flat_image(80, 64, [](int, int) { return Vec3f::Constant(0.3f); }), 80, 64, radius);
     for (int y = 0; y < 64; y += 7)
       for (int x = 0; x < 80; x += 3) ASSERT_NEAR(surface.mean(x, y, 0.01f).albedo[1], 0.3f, 1e-6f);
   }
@@ -52,7 +58,7 @@ TEST(Bands, NothingComesFromSurfacesBeyondTheRadiusOrFromUnusedPixels) {
       if (y < 10) p.area = 0;               // masked
     }
   for (const float radius : {0.03f, 0.1f, 0.25f}) {
-    const SurfacePyramid surface(pixels, 64, 64, radius);
+    const SurfacePyramid surface = pyramid(pixels, 64, 64, radius);
     for (int y = 10; y < 64; ++y)
       for (int x = 0; x <= 30; ++x) ASSERT_NEAR(surface.mean(x, y, 0.01f).albedo[0], 0.2f, 1e-6f) << radius;
     EXPECT_FALSE(surface.mean(5, 5, 0.01f).valid);
@@ -66,12 +72,12 @@ TEST(Bands, APhotographFromAnotherDistanceAndAngleHasTheSameLowBand) {
     for (int y = 0; y < n; ++y)
       for (int x = 0; x < n; ++x) {
         const Vec3f at(step_x * static_cast<float>(x - n / 2), step_y * static_cast<float>(y - n / 2), 2);
-        pixels[static_cast<std::size_t>(y * n + x)] = {at, step_x * step_y, Vec3f::Constant(paint(at)), Vec3f(0, 0, -1), 1, step_y / step_x};
+        pixels[static_cast<std::size_t>(y * n + x)] = {at, step_x * step_y, Vec3f::Constant(paint(at)), Vec3f(0, 0, -1), step_y / step_x};
       }
     return pixels;
   };
   const float radius = 0.12f;
-  const SurfacePyramid near(image(0.005f, 0.005f, 96), 96, 96, radius), slanted(image(0.02f, 0.01f, 96), 96, 96, radius);
+  const SurfacePyramid near = pyramid(image(0.005f, 0.005f, 96), 96, 96, radius), slanted = pyramid(image(0.02f, 0.01f, 96), 96, 96, radius);
   for (int k = -4; k <= 4; ++k) {
     const float a = near.mean(48 + 4 * k, 48 + 2 * k, 0.005f).albedo[0], b = slanted.mean(48 + k, 48 + k, 0.01f).albedo[0];
     EXPECT_NEAR(a, b, 0.01f);
@@ -83,10 +89,10 @@ TEST(Bands, ARowsBitsDoNotDependOnWhereTheWindowBeginsOrOnThreads) {
   for (const float radius : {0.05f, 0.13f, 0.2f}) {
     const int reach = (reach_rows(radius, 0.01f) + kPyramidRows - 1) / kPyramidRows * kPyramidRows;
     ASSERT_GE(kFirst, reach);
-    const SurfacePyramid whole(flat_image(kWidth, kRows, noise_at), kWidth, kRows, radius);
+    const SurfacePyramid whole = pyramid(flat_image(kWidth, kRows, noise_at), kWidth, kRows, radius);
     const ThreadLimit one(1);
     const int part_rows = kLast - kFirst + 2 * reach;
-    const SurfacePyramid part(flat_image(kWidth, part_rows, noise_at, kFirst - reach), kWidth, part_rows, radius);
+    const SurfacePyramid part = pyramid(flat_image(kWidth, part_rows, noise_at, kFirst - reach), kWidth, part_rows, radius);
     for (int y = kFirst; y < kLast; ++y)
       for (int x = 0; x < kWidth; ++x)
         for (int c = 0; c < 3; ++c) ASSERT_EQ(whole.mean(x, y, 0.01f).albedo[c], part.mean(x, y - kFirst + reach, 0.01f).albedo[c]) << x << " " << y;
@@ -101,7 +107,7 @@ TEST(Bands, TheOtherSideOfACreaseDoesNotChangeTheAngle) {
       p.normal = Vec3f(1, 0, 0);
       p.cosv = 0.2f;
     }
-  const SurfacePyramid surface(pixels, 64, 16, 0.1f);
+  const SurfacePyramid surface = pyramid(pixels, 64, 16, 0.1f);
   EXPECT_NEAR(surface.mean(31, 8, 0.01f).cosv, 1, 1e-2f);
   EXPECT_NEAR(surface.mean(33, 8, 0.01f).cosv, 0.2f, 1e-2f);
 }

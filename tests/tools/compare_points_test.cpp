@@ -14,7 +14,9 @@
 #include "stream/cloud/point_stream.h"
 #include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
+#include "stream/photo/image_io.h"
 #include "tools/colour_source.h"
+#include "tools/compare_picture.h"
 
 namespace chiaro::tools {
 namespace {
@@ -142,9 +144,9 @@ TEST_F(ComparePointsTest, RefusesWhatCannotBeCompared) {
 class CompareLayersTest : public ComparePointsTest {
  protected:
   static constexpr int kPoints = 5000;
-  fs::path build(const std::string& name) {
-    std::vector<int> grey(kPoints);
-    for (int i = 0; i < kPoints; ++i) grey[i] = i % 256;
+  fs::path build(const std::string& name, int points = kPoints) {
+    std::vector<int> grey(points);
+    for (int i = 0; i < points; ++i) grey[i] = i % 256;
     const std::string cloud = colour_ply(name + ".ply", grey);
     MemoryBudget budget(256u << 20);
     stream::build_store({cloud}, scratch_.path() / (name + ".chiaro"), {}, budget, silent_reporter());
@@ -179,6 +181,70 @@ TEST_F(CompareLayersTest, ComparesLayersOfOneStore) {
   EXPECT_THAT(complaint(store.string() + ":day3", store.string() + ":day2"), HasSubstr("no layer \"day3\"; did you mean"));
   EXPECT_THAT(complaint(store.string() + ":day1", (scratch_.path() / "s.ply").string()), HasSubstr("nothing to compare"));
   EXPECT_THAT(complaint(store.string() + ":input", (scratch_.path() / "s.ply").string()), HasSubstr("not the same points"));
+}
+
+TEST_F(CompareLayersTest, RefusesALayerOfAnotherStore) {
+  const fs::path mine = build("mine"), other = build("other", kPoints - 1);
+  add_layer(mine, "day1", 0.5f);
+  add_layer(other, "day2", 0.5f);
+  EXPECT_THAT(complaint(mine.string() + ":day1", other.string() + ":day2"), HasSubstr("not the same points"));
+  // and one that was copied in
+  fs::copy(other / "layers" / "day2", mine / "layers" / "day2", fs::copy_options::recursive);
+  EXPECT_THAT(complaint(mine.string() + ":day1", mine.string() + ":day2"), HasSubstr("day2"));
+}
+
+TEST_F(CompareLayersTest, DrawsTheDifference) {
+  const fs::path store = build("s");
+  add_layer(store, "day1", 0.5f);
+  add_layer(store, "day2", 0.4f);
+  const fs::path file = scratch_.path() / "d.png";
+  const PointComparison r = compare_points(store.string() + ":day1", store.string() + ":day2", {}, silent_reporter(), file);
+  EXPECT_EQ(r.picture_range, 0.5);
+  EXPECT_GT(fs::file_size(file), 500u);
+  EXPECT_THROW(compare_points(store.string() + ":day1", store.string() + ":day2", {}, silent_reporter(), scratch_.path() / "absent" / "d.png"), Error);
+}
+
+using Colour = std::array<std::uint8_t, 3>;
+
+TEST(DifferencePicture, ColoursSayWhoIsBrighter) {
+  EXPECT_EQ(DifferencePicture::colour(0, 0.1), (Colour{247, 247, 247}));
+  EXPECT_EQ(DifferencePicture::colour(0.1, 0.1), DifferencePicture::colour(3, 0.1));
+  EXPECT_GT(DifferencePicture::colour(0.1, 0.1)[0], DifferencePicture::colour(0.1, 0.1)[2]);
+  EXPECT_LT(DifferencePicture::colour(-0.1, 0.1)[0], DifferencePicture::colour(-0.1, 0.1)[2]);
+  EXPECT_EQ(DifferencePicture::colour(std::nan(""), 0.1), (Colour{128, 128, 128}));
+}
+
+TEST(DifferencePicture, TheNearerPointHidesTheOneBehind) {
+  Box3d box;
+  box.extend(Vec3d(0, 0, 0));
+  box.extend(Vec3d(1, 1, 1));
+  DifferencePicture picture(box, 100000000, 0.1);
+  const Colour red = DifferencePicture::colour(1, 0.1), blue = DifferencePicture::colour(-1, 0.1);
+  // in the same place as seen from the front, which looks along +y: the red one, y = 0, hides the blue one whatever the order
+  picture.add(Vec3d(0.5, 1, 0.5), -1);
+  picture.add(Vec3d(0.5, 0, 0.5), 1);
+  picture.add(Vec3d(0.5, 1, 0.5), -1);
+  picture.add(Vec3d(std::nan(""), 0, 0), 1);
+  int reds = 0, blues = 0;
+  for (int y = 0; y < picture.height() - 30; ++y)   // the scale stands below
+    for (int x = 0; x < picture.width(); ++x) {
+      reds += picture.pixel(x, y) == red;
+      blues += picture.pixel(x, y) == blue;
+    }
+  EXPECT_EQ(reds, 5);    // all but the back
+  EXPECT_EQ(blues, 5);   // all but the front
+  EXPECT_TRUE(picture.width() > 1500 && picture.width() <= 1620);
+}
+
+TEST(DifferencePicture, FlatAndTinyCloudsHaveAPicture) {
+  Box3d point;
+  point.extend(Vec3d(5, 5, 5));
+  DifferencePicture(point, 1, 0.1).add(Vec3d(5, 5, 5), 0);
+  Box3d flat = point;
+  flat.extend(Vec3d(9, 8, 5));
+  DifferencePicture picture(flat, 100, 0.1);
+  picture.add(Vec3d(9, 8, 5), 0);
+  EXPECT_LT(picture.height(), 2000);
 }
 
 TEST(NamesPoints, TellsPicturesFromPoints) {

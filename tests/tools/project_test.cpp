@@ -60,6 +60,11 @@ exposure_s  = 0.5
 [solve]
 method = "single"
 
+[blend]
+reject = false
+gain   = "channels"
+align  = false
+
 [run]
 memory  = "512 MiB"
 threads = 2
@@ -294,7 +299,20 @@ TEST_F(ProjectTest, WritesItselfAsJson) {
   EXPECT_EQ(json["acquisition"][0]["reference"][0]["photograph"], "photo_9");
   EXPECT_EQ(json["acquisition"][1]["flash"], nullptr);
   EXPECT_EQ(json["solve"]["method"], "single");
+  EXPECT_EQ(json["blend"]["gain"], "channels");
+  EXPECT_EQ(json["blend"]["reject"], false);
   EXPECT_EQ(json["export"][1]["fill"], true);
+}
+
+TEST_F(ProjectTest, BlendingHasItsOwnSection) {
+  const Project p = load(kValid);
+  EXPECT_FALSE(p.blend.reject || p.blend.align);
+  EXPECT_EQ(p.blend.gain, BlendGain::kChannels);
+  const Project q = load(kValid, Words{"blend.gain=none", "blend.align=true"});
+  EXPECT_EQ(q.blend.gain, BlendGain::kNone);
+  EXPECT_TRUE(q.blend.align);
+  EXPECT_THAT(complaint(kValid, {"blend.gain=gray"}), HasSubstr("blend.gain: unknown value \"gray\"; did you mean \"grey\"?"));
+  EXPECT_THAT(complaint(kValid, {"blend.reject=1"}), HasSubstr("blend.reject: expected true or false"));
 }
 
 TEST_F(ProjectTest, FailsCleanlyOnEveryPrefix) {

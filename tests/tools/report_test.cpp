@@ -10,6 +10,7 @@
 #include "tools/metrics.h"
 #include "tools/report_palette.h"
 #include "tools/report_photo.h"
+#include "tools/table.h"
 
 namespace chiaro::tools {
 namespace {
@@ -171,6 +172,24 @@ TEST(Report, SaysWhatAReaderLooksFor) {
                             "made &lt;by&gt; &quot;hand&quot; &amp; more", "calibrated flash range, 25 to 34 W/sr"})
     EXPECT_THAT(page, HasSubstr(words));
   EXPECT_THAT(page, Not(HasSubstr("<by>")));
+}
+
+TEST(Report, SaysHowThePhotographsAgree) {
+  RunFixture run;
+  run.write();
+  write_report(run.folder, silent_reporter());
+  EXPECT_THAT(page_of(run), Not(HasSubstr("How the photographs agree")));   // a run of before it was recorded
+  Json record = Json::parse(read_text(run.folder.record()));
+  record["blending"] = {{"scatter", 0.0125},
+                        {"photographs",
+                         {{{"photograph", "photo_00"}, {"samples", 900}, {"rejected", 100}, {"gain", {0.8, 0.8, 0.8}}, {"shift_px", {-1.5, 2}},
+                           {"disturbed", {{"x0", 12}, {"x1", 48}, {"y0", 24}, {"y1", 60}}}},
+                          {{"photograph", "photo<01>"}, {"samples", 0}, {"rejected", 0}, {"gain", "?"}, {"shift_px", nullptr}, {"disturbed", nullptr}}}}};
+  write_text(run.folder.record(), record.dump());
+  write_report(run.folder, silent_reporter());
+  const std::string page = page_of(run);
+  EXPECT_EQ(fault_of_html(page), "");
+  for (const char* words : {"How the photographs agree", "1.25", "2.5", "10\u00a0%", "pixels 12–48 across, 24–60 down", "photo&lt;01&gt;"}) EXPECT_THAT(page, HasSubstr(words));
 }
 
 TEST(Report, ShowsALightForEachPhotographWhereEachWasSolvedByItself) {

@@ -1,0 +1,145 @@
+#include "blend/agreement.h"
+
+#include <Eigen/SparseCholesky>
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <numeric>
+
+namespace chiaro::blend {
+namespace {
+
+template <class T>
+T median(std::vector<T> values) {
+  if (values.empty()) return 0;
+  const std::size_t half = values.size() / 2;
+  std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(half), values.end());
+  if (values.size() % 2 == 1) return values[half];
+  return T(0.5) * (values[half] + *std::max_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(half)));
+}
+
+/// One unknown a photograph: x_a - x_b = difference.
+struct Equation {
+  std::uint16_t a = 0, b = 0;
+  float difference = 0;
+};
+
+/// Photographs that overlap directly or through others carry the same number.
+std::vector<std::size_t> groups_of(const std::vector<Equation>& equations, std::size_t count) {
+  std::vector<std::size_t> parent(count);
+  std::iota(parent.begin(), parent.end(), std::size_t{0});
+  const auto root = [&](std::size_t i) {
+    while (parent[i] != i) i = parent[i] = parent[parent[i]];
+    return i;
+  };
+  for (const Equation& e : equations) parent[root(e.a)] = root(e.b);
+  for (std::size_t i = 0; i < count; ++i) parent[i] = root(i);
+  return parent;
+}
+
+/// Least absolute differences of x_a - x_b = difference, by reweighted least squares. It is convex: where it starts does not matter.
+std::vector<double> least_absolute(const std::vector<Equation>& equations, std::size_t count) {
+  constexpr int kRounds = 40;
+  constexpr double kFlat = 2e-3, kRidge = 1e-6;   // differences below kFlat count as squares; the ridge holds what the equations leave open
+  Eigen::VectorXd x = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(count));
+  if (equations.empty()) return std::vector<double>(count, 0);
+  for (int round = 0; round < kRounds; ++round) {
+    std::map<std::pair<int, int>, double> off_diagonal;
+    Eigen::VectorXd diagonal = Eigen::VectorXd::Constant(x.size(), kRidge), right = Eigen::VectorXd::Zero(x.size());
+    for (const Equation& e : equations) {
+      const double w = 1 / std::max(kFlat, std::abs(x[e.a] - x[e.b] - static_cast<double>(e.difference)));
+      diagonal[e.a] += w;
+      diagonal[e.b] += w;
+      right[e.a] += w * static_cast<double>(e.difference);
+      right[e.b] -= w * static_cast<double>(e.difference);
+      off_diagonal[{std::max(e.a, e.b), std::min(e.a, e.b)}] -= w;
+    }
+    std::vector<Eigen::Triplet<double>> entries;
+    for (int i = 0; i < x.size(); ++i) entries.emplace_back(i, i, diagonal[i]);
+    for (const auto& [at, value] : off_diagonal) entries.emplace_back(at.first, at.second, value);
+    Eigen::SparseMatrix<double> matrix(x.size(), x.size());
+    matrix.setFromTriplets(entries.begin(), entries.end());
+    const Eigen::VectorXd before = x;
+    x = Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>, Eigen::Lower>(matrix).solve(right);
+    if ((x - before).cwiseAbs().maxCoeff() < 1e-6) break;
+  }
+  return {x.data(), x.data() + x.size()};
+}
+
+/// The middle photograph of each group keeps its brightness.
+void centre(std::vector<double>& x, const std::vector<Equation>& equations) {
+  const std::vector<std::size_t> group = groups_of(equations, x.size());
+  for (std::size_t g = 0; g < x.size(); ++g) {
+    std::vector<double> members;
+    for (std::size_t i = 0; i < x.size(); ++i)
+      if (group[i] == g) members.push_back(x[i]);
+    const double middle = median(members);
+    for (std::size_t i = 0; i < x.size(); ++i)
+      if (group[i] == g) x[i] -= middle;
+  }
+}
+
+/// channel < 0: the mean of the three.
+std::vector<double> gains_of(std::span<const ReadingPair> pairs, std::size_t count, int channel) {
+  std::vector<Equation> equations;
+  equations.reserve(pairs.size());
+  for (const ReadingPair& p : pairs) equations.push_back({p.a, p.b, channel < 0 ? p.difference.mean() : p.difference[channel]});
+  std::vector<double> x = least_absolute(equations, count);
+  centre(x, equations);
+  return x;
+}
+
+float scatter_of(std::span<const ReadingPair> pairs, const std::vector<Vec3f>& log_gain) {
+  std::vector<float> distances;
+  distances.reserve(pairs.size());
+  for (const ReadingPair& p : pairs) distances.push_back((p.difference + log_gain[p.b] - log_gain[p.a]).cwiseAbs().maxCoeff());
+  return median(std::move(distances));
+}
+
+/// Smaller factors stay: they are as likely errors of geometry and light that a whole photograph has in common, and the low band smooths their seams.
+constexpr float kLeastGain = 0.02f, kLeastGainScatters = 1.5f;
+
+}  // namespace
+
+void append_pairs(const Ballot& ballot, std::vector<ReadingPair>& pairs) {
+  const float darkest = std::log(6 * kDarkOffset);
+  std::array<Vec3f, kVotes> logs;
+  std::array<bool, kVotes> is_bright{};
+  for (std::size_t j = 0; j < kVotes; ++j) {
+    if (ballot.votes[j].weight == 0) continue;
+    logs[j] = log_low_of(ballot.votes[j]);
+    if (!(logs[j].minCoeff() > darkest)) continue;
+    logs[j] = (logs[j].array().exp() - kDarkOffset).log();   // a factor is a factor only without the offset
+    for (std::size_t i = 0; i < j; ++i)
+      if (is_bright[i]) pairs.push_back({ballot.votes[i].photograph, ballot.votes[j].photograph, logs[j] - logs[i]});
+    is_bright[j] = true;
+  }
+}
+
+Agreement find_agreement(std::span<const ReadingPair> pairs, std::size_t num_photographs, Gain gain) {
+  Agreement result;
+  result.log_gain.assign(num_photographs, Vec3f::Zero());
+  result.pairs = pairs.size();
+  const int solutions = gain == Gain::kNone ? 0 : gain == Gain::kGrey ? 1 : 3;
+  for (int c = 0; c < solutions; ++c) {
+    const std::vector<double> x = gains_of(pairs, num_photographs, solutions == 1 ? -1 : c);
+    for (std::size_t k = 0; k < num_photographs; ++k) {
+      if (solutions == 1) result.log_gain[k].setConstant(static_cast<float>(x[k]));
+      else result.log_gain[k][c] = static_cast<float>(x[k]);
+    }
+  }
+  result.scatter = scatter_of(pairs, result.log_gain);
+  const float least = std::max(kLeastGain, kLeastGainScatters * result.scatter);
+  for (Vec3f& one : result.log_gain)
+    if (one.cwiseAbs().maxCoeff() < least) one.setZero();
+  return result;
+}
+
+float tolerance_for(float scatter) {
+  // Eight times the median of differences is 5 sd of normal ones; shadows and relief have longer tails, and 6 gave away good readings (measured on a rendered
+  // tower: error 3.254 -> 3.247 %). 3 % are within what interpolation and blur make of edges.
+  constexpr float kScatters = 8, kLeast = 0.03f;
+  return std::max(kLeast, kScatters * scatter);
+}
+
+}  // namespace chiaro::blend

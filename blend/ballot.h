@@ -1,0 +1,56 @@
+/// What the best photographs of a surfel say of it, kept small: the ground on which a majority outvotes the rest.
+///
+/// A mean cannot tell a moved object from the surface behind it, since it has already been pulled; the readings themselves can. Eight of them are kept,
+/// those with the largest weights, in 12 bytes each. A ballot has as many bytes however many photographs there are, and the same bits whatever the
+/// threads and bands, as photographs come in the order of their names.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "blend/sample.h"
+
+namespace chiaro::blend {
+
+/// Colours are compared as logarithms of value / brightness + kDarkOffset, so that a factor is the same everywhere and noise in the dark is not
+/// blown up. brightness: a typical value of the photographs at hand, which makes it free of units.
+inline constexpr float kDarkOffset = 0.02f;
+Vec3f log_value(const Vec3f& value, float brightness);
+/// The logarithm after the value was multiplied by exp(log_gain).
+Vec3f with_gain(const Vec3f& log, const Vec3f& log_gain);
+
+struct Vote {
+  std::uint16_t photograph = 0;
+  std::uint16_t weight = 0;      ///< logarithmic; 0 = no vote
+  std::uint16_t low[3] = {};     ///< log_value() of the low band
+  std::int16_t detail = 0;       ///< high band over low band, mean of the channels
+};
+static_assert(sizeof(Vote) == 12);
+float weight_of(const Vote& vote);
+Vec3f log_low_of(const Vote& vote);
+float detail_of(const Vote& vote);
+
+inline constexpr std::size_t kVotes = 8;
+struct Ballot {
+  std::array<Vote, kVotes> votes{};
+};
+static_assert(sizeof(Ballot) == 96);
+
+/// Enters a reading if its weight is among the eight largest; of equal ones the first stay.
+void cast_vote(Ballot& ballot, std::uint16_t photograph, const Sample& sample, float brightness);
+
+/// What the majority says of a surfel: the mean of the votes that lie within `tolerance` (of log_value, any channel) of each other.
+struct Majority {
+  Vec3f log_low = Vec3f::Zero();
+  std::uint8_t members = 0;      ///< bit i: vote i is one of them
+};
+/// nullopt where there is none: fewer than two agree, or they do not hold more than half of the votes. A reading with a weight below a twentieth of the
+/// largest has less than a whole vote.
+/// log_gains: by photograph; added to what it says.
+std::optional<Majority> majority_of(const Ballot& ballot, std::span<const Vec3f> log_gains, float tolerance);
+
+/// Share of a reading's weight that is left to it: 1 within `tolerance` of the majority, 0 from twice that on, smooth between.
+float agreement_weight(const Majority& majority, const Vec3f& log_low, float tolerance);
+
+}  // namespace chiaro::blend

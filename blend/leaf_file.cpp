@@ -1,0 +1,155 @@
+#include "blend/leaf_file.h"
+
+#include <algorithm>
+#include <cassert>
+#include <cstring>
+
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "stream/base/hash.h"
+
+namespace chiaro::blend {
+namespace {
+
+constexpr char kMagic[8] = {'C', 'H', 'R', 'B', 'L', 'N', 'D', '2'};
+constexpr std::uint64_t kPage = 4096;
+
+struct FileHeader {
+  char magic[8];
+  char key[32];
+  std::uint64_t num_leaves;
+  std::uint32_t num_photographs, counters, record_bytes, reserved;
+};
+struct DoneRecord {   // in its own page, so that it is written at one stroke
+  std::uint32_t photographs, crc;
+};
+struct SlotHeader {
+  std::uint32_t photograph, row, leaf, surfels;
+  std::uint32_t payload_crc, header_crc;
+};
+
+std::uint64_t up_to_page(std::uint64_t bytes) { return (bytes + kPage - 1) / kPage * kPage; }
+std::uint32_t crc_of(const SlotHeader& h) { return crc32c(&h, offsetof(SlotHeader, header_crc)) ^ 0x5a5a5a5au; }   // zeros are no header
+std::uint32_t crc_of(const DoneRecord& d) { return crc32c(&d, offsetof(DoneRecord, crc)) ^ 0x5a5a5a5au; }
+
+}  // namespace
+
+struct LeafFile::Impl {
+  File file;
+  LeafShape shape;
+  std::vector<std::uint64_t> offsets;    // of slot 0; slot 1 follows
+  std::vector<Mark> marks;
+  std::vector<std::int8_t> current;      // slot that holds the state, -1 none
+  std::uint32_t done = 0;
+  FileHeader header{};
+
+  std::uint64_t payload_bytes(std::size_t leaf) const {
+    return std::uint64_t{shape.counters} * sizeof(std::uint32_t) + std::uint64_t{shape.surfels_of_leaf[leaf]} * shape.record_bytes;
+  }
+  std::uint64_t slot_bytes(std::size_t leaf) const { return up_to_page(sizeof(SlotHeader) + payload_bytes(leaf)); }
+  std::uint64_t slot_offset(std::size_t leaf, int slot) const { return offsets[leaf] + (slot > 0 ? slot_bytes(leaf) : 0); }
+
+  void start(const std::filesystem::path& path) {
+    file = File(path, File::Mode::kCreate);
+    file.write_at(0, &header, sizeof header);
+    write_done(0);
+    file.sync();
+  }
+  void write_done(std::uint32_t count) {
+    DoneRecord record{count, 0};
+    record.crc = crc_of(record);
+    file.write_at(kPage, &record, sizeof record);
+    done = count;
+  }
+  bool resume(const std::filesystem::path& path) {
+    if (!std::filesystem::exists(path)) return false;
+    File old(path, File::Mode::kReadWrite);
+    FileHeader found{};
+    DoneRecord record{};
+    if (old.read_some_at(0, &found, sizeof found) != sizeof found || std::memcmp(&found, &header, sizeof header) != 0) return false;
+    if (old.read_some_at(kPage, &record, sizeof record) != sizeof record || record.crc != crc_of(record) || record.photographs > shape.num_photographs) return false;
+    file = std::move(old);
+    done = record.photographs;
+    for (std::size_t leaf = 0; leaf < shape.surfels_of_leaf.size(); ++leaf) find_current(leaf);
+    return true;
+  }
+  /// The newest slot that is whole. Slots of photographs that are noted as done were synced; younger ones may be torn and are checked.
+  void find_current(std::size_t leaf) {
+    for (int slot = 0; slot < 2; ++slot) {
+      SlotHeader h{};
+      if (file.read_some_at(slot_offset(leaf, slot), &h, sizeof h) != sizeof h || h.header_crc != crc_of(h) || h.leaf != leaf || h.surfels != shape.surfels_of_leaf[leaf]) continue;
+      const Mark mark{h.photograph, h.row};
+      if (current[leaf] >= 0 && mark <= marks[leaf]) continue;
+      if (h.photograph >= done && !payload_fits(leaf, slot, h)) continue;
+      current[leaf] = static_cast<std::int8_t>(slot);
+      marks[leaf] = mark;
+    }
+  }
+  bool payload_fits(std::size_t leaf, int slot, const SlotHeader& h) const {
+    std::vector<std::byte> payload(payload_bytes(leaf));
+    return file.read_some_at(slot_offset(leaf, slot) + sizeof h, payload.data(), payload.size()) == payload.size() && crc32c(payload) == h.payload_crc;
+  }
+};
+
+LeafFile::LeafFile(const std::filesystem::path& path, const std::string& key, LeafShape shape) : impl_(std::make_unique<Impl>()) {
+  Impl& m = *impl_;
+  m.shape = std::move(shape);
+  const std::size_t leaves = m.shape.surfels_of_leaf.size();
+  m.marks.resize(leaves);
+  m.current.resize(leaves, -1);
+  std::memcpy(m.header.magic, kMagic, sizeof kMagic);
+  std::memcpy(m.header.key, key.data(), std::min(key.size(), sizeof m.header.key));
+  m.header.num_leaves = leaves;
+  m.header.num_photographs = m.shape.num_photographs;
+  m.header.counters = m.shape.counters;
+  m.header.record_bytes = m.shape.record_bytes;
+  std::uint64_t at = 2 * kPage;
+  for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
+    m.offsets.push_back(at);
+    at += 2 * m.slot_bytes(leaf);
+  }
+  if (!m.resume(path)) m.start(path);
+}
+
+LeafFile::LeafFile(LeafFile&&) noexcept = default;
+LeafFile::~LeafFile() = default;
+std::size_t LeafFile::num_leaves() const { return impl_->shape.surfels_of_leaf.size(); }
+std::uint32_t LeafFile::photographs_done() const { return impl_->done; }
+Mark LeafFile::mark(std::size_t leaf) const { return impl_->marks[leaf]; }
+bool LeafFile::is_written(std::size_t leaf) const { return impl_->current[leaf] >= 0; }
+std::uint32_t LeafFile::surfels(std::size_t leaf) const { return impl_->shape.surfels_of_leaf[leaf]; }
+std::uint32_t LeafFile::counters() const { return impl_->shape.counters; }
+
+void LeafFile::set_photographs_done(std::uint32_t count) {
+  impl_->file.sync();
+  impl_->write_done(count);
+}
+
+void LeafFile::read_bytes(std::size_t leaf, std::span<std::uint32_t> counters, std::span<std::byte> surfels) const {
+  const Impl& m = *impl_;
+  assert(surfels.size() == std::size_t{m.shape.surfels_of_leaf[leaf]} * m.shape.record_bytes);
+  if (m.current[leaf] < 0) return;
+  SlotHeader h{};
+  const std::uint64_t at = m.slot_offset(leaf, m.current[leaf]);
+  m.file.read_at(at, &h, sizeof h);
+  m.file.read_at(at + sizeof h, counters.data(), counters.size_bytes());
+  m.file.read_at(at + sizeof h + counters.size_bytes(), surfels.data(), surfels.size());
+  if (crc32c(surfels, crc32c(std::as_bytes(counters))) != h.payload_crc)
+    throw Error(concat(m.file.path().string(), ": checksum of leaf ", leaf, " at offset ", at, " does not fit; remove the file to start the blend anew"));
+}
+
+void LeafFile::write_bytes(std::size_t leaf, const Mark& mark, std::span<const std::uint32_t> counters, std::span<const std::byte> surfels) {
+  Impl& m = *impl_;
+  const int slot = m.current[leaf] == 0 ? 1 : 0;
+  const std::uint64_t at = m.slot_offset(leaf, slot);
+  SlotHeader h{mark.photograph, mark.row, static_cast<std::uint32_t>(leaf), m.shape.surfels_of_leaf[leaf], 0, 0};
+  h.payload_crc = crc32c(surfels, crc32c(std::as_bytes(counters)));
+  h.header_crc = crc_of(h);
+  m.file.write_at(at + sizeof h, counters.data(), counters.size_bytes());
+  m.file.write_at(at + sizeof h + counters.size_bytes(), surfels.data(), surfels.size());
+  m.file.write_at(at, &h, sizeof h);
+  m.current[leaf] = static_cast<std::int8_t>(slot);
+  m.marks[leaf] = mark;
+}
+
+}  // namespace chiaro::blend

@@ -1,0 +1,80 @@
+#include "blend/agreement.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "stream/base/rng.h"
+
+namespace chiaro::blend {
+namespace {
+
+/// Pairs of photographs in a chain 0-1-2-…, each brighter than the truth by its factor; a share of the second photograph's readings is of something else.
+std::vector<ReadingPair> chain(const std::vector<Vec3f>& log_factor, double share_wrong = 0) {
+  std::vector<ReadingPair> pairs;
+  for (std::uint16_t k = 0; k + 1u < log_factor.size(); ++k)
+    for (std::uint64_t i = 0; i < 500; ++i) {
+      const auto u = uniform01x4(3, Purpose::kTest, k, i);
+      Vec3f difference = log_factor[k + 1u] - log_factor[k] + Vec3f::Constant(0.01f * (u[0] + u[1] - 1));
+      if (static_cast<double>(u[2]) < share_wrong) difference += Vec3f::Constant(1 + u[3]);
+      pairs.push_back({k, static_cast<std::uint16_t>(k + 1), difference});
+    }
+  return pairs;
+}
+std::vector<Vec3f> factors(std::initializer_list<float> values) {
+  std::vector<Vec3f> all;
+  for (const float v : values) all.push_back(Vec3f::Constant(std::log(v)));
+  return all;
+}
+
+TEST(Agreement, OnePhotographThatIsOffDoesNotDragTheOthers) {
+  const Agreement a = find_agreement(chain(factors({1, 1, 1.3f, 1, 1})), 5, Gain::kGrey);
+  for (const std::size_t k : {0u, 1u, 3u, 4u}) EXPECT_EQ(a.log_gain[k], Vec3f(Vec3f::Zero())) << k;
+  EXPECT_NEAR(a.log_gain[2][0], -std::log(1.3f), 2e-3f);
+  EXPECT_LT(a.scatter, 0.01f);
+}
+
+TEST(Agreement, AThirdOfReadingsOfSomethingElseDoesNotChangeAGain) {
+  const Agreement a = find_agreement(chain(factors({1, 1, 1.3f, 1, 1}), 0.33), 5, Gain::kGrey);
+  EXPECT_NEAR(a.log_gain[2][1], -std::log(1.3f), 5e-3f);
+  EXPECT_EQ(a.log_gain[1], Vec3f(Vec3f::Zero()));
+}
+
+TEST(Agreement, ChannelsHaveGainsOfTheirOwnWhereAskedFor) {
+  std::vector<Vec3f> factor = factors({1, 1, 1});
+  factor[0] = Vec3f(0.1f, 0, -0.1f);
+  const std::vector<ReadingPair> pairs = chain(factor);
+  EXPECT_EQ(find_agreement(pairs, 3, Gain::kGrey).log_gain[0], Vec3f(Vec3f::Zero()));
+  EXPECT_EQ(find_agreement(pairs, 3, Gain::kNone).log_gain[0], Vec3f(Vec3f::Zero()));
+  const Agreement a = find_agreement(pairs, 3, Gain::kChannels);
+  EXPECT_NEAR(a.log_gain[0][0], -0.1f, 2e-3f);
+  EXPECT_NEAR(a.log_gain[0][2], 0.1f, 2e-3f);
+}
+
+TEST(Agreement, EachGroupOfPhotographsKeepsItsOwnBrightness) {
+  std::vector<ReadingPair> pairs = chain(factors({1, 1, 1.2f}));
+  for (ReadingPair p : chain(factors({3, 3, 3.6f}))) {
+    p.a = static_cast<std::uint16_t>(p.a + 3);
+    p.b = static_cast<std::uint16_t>(p.b + 3);
+    pairs.push_back(p);
+  }
+  const Agreement a = find_agreement(pairs, 7, Gain::kGrey);   // the seventh overlaps with none
+  EXPECT_NEAR(a.log_gain[2][0], -std::log(1.2f), 2e-3f);
+  EXPECT_NEAR(a.log_gain[5][0], -std::log(1.2f), 2e-3f);
+  for (const std::size_t k : {0u, 1u, 3u, 4u, 6u}) EXPECT_EQ(a.log_gain[k], Vec3f(Vec3f::Zero())) << k;
+}
+
+TEST(Agreement, FactorsWithinTheScatterAreLeftAlone) {
+  const Agreement a = find_agreement(chain(factors({1, 1.01f, 1})), 3, Gain::kGrey);
+  EXPECT_EQ(a.log_gain[1], Vec3f(Vec3f::Zero()));
+}
+
+TEST(Agreement, NoPairsNoGains) {
+  const Agreement a = find_agreement({}, 2, Gain::kGrey);
+  EXPECT_EQ(a.log_gain.size(), 2u);
+  EXPECT_EQ(a.log_gain[1], Vec3f(Vec3f::Zero()));
+  EXPECT_EQ(a.scatter, 0);
+}
+
+}  // namespace
+}  // namespace chiaro::blend

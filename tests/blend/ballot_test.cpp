@@ -1,0 +1,86 @@
+#include "blend/ballot.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+namespace chiaro::blend {
+namespace {
+
+constexpr float kTolerance = 0.05f;
+
+Sample reading(float value, float weight = 1, float high = 0) { return {0, weight, 0.01f, 0, Vec3f::Constant(value), Vec3f::Constant(high)}; }
+
+Ballot ballot_of(std::initializer_list<Sample> samples) {
+  Ballot ballot;
+  std::uint16_t k = 0;
+  for (const Sample& s : samples) cast_vote(ballot, k++, s, 0.5f);
+  return ballot;
+}
+const std::vector<Vec3f> kNoGains(16, Vec3f::Zero());
+
+TEST(Ballot, AVoteKeepsItsReadingWithinTheStepsOfItsCode) {
+  for (const float value : {0.004f, 0.1f, 0.5f, 3.0f})
+    for (const float weight : {1e-12f, 0.3f, 1e4f}) {
+      const Ballot ballot = ballot_of({reading(value, weight, 0.25f * value)});
+      EXPECT_NEAR(log_low_of(ballot.votes[0])[1], std::log(value / 0.5f + kDarkOffset), 1e-4f);
+      EXPECT_NEAR(weight_of(ballot.votes[0]) / weight, 1, 1e-3f);
+      EXPECT_NEAR(detail_of(ballot.votes[0]), 0.25f, 1e-4f);
+    }
+}
+
+TEST(Ballot, KeepsTheEightLargestWeights) {
+  Ballot ballot;
+  for (std::uint16_t k = 0; k < 100; ++k) cast_vote(ballot, k, reading(0.5f, static_cast<float>(1 + (k * 37) % 100)), 0.5f);
+  float least = 1e9f;
+  for (const Vote& v : ballot.votes) least = std::min(least, weight_of(v));
+  EXPECT_NEAR(least, 93, 0.1f);
+}
+
+TEST(Ballot, TheMajorityIsTheMeanOfThoseThatAgree) {
+  const auto majority = majority_of(ballot_of({reading(0.4f), reading(0.404f), reading(0.9f)}), kNoGains, kTolerance);
+  ASSERT_TRUE(majority);
+  EXPECT_EQ(majority->members, 0b011);
+  EXPECT_NEAR(majority->log_low[0], std::log(0.402f / 0.5f + kDarkOffset), 1e-4f);
+  EXPECT_EQ(agreement_weight(*majority, log_value(Vec3f::Constant(0.41f), 0.5f), kTolerance), 1);
+  EXPECT_EQ(agreement_weight(*majority, log_value(Vec3f::Constant(0.9f), 0.5f), kTolerance), 0);
+  const float between = agreement_weight(*majority, log_value(Vec3f::Constant(0.43f), 0.5f), kTolerance);
+  EXPECT_TRUE(between > 0 && between < 1);
+}
+
+TEST(Ballot, NobodyWinsATie) {
+  EXPECT_FALSE(majority_of(Ballot{}, kNoGains, kTolerance));
+  EXPECT_FALSE(majority_of(ballot_of({reading(0.4f)}), kNoGains, kTolerance));
+  EXPECT_FALSE(majority_of(ballot_of({reading(0.4f), reading(0.8f)}), kNoGains, kTolerance));
+  EXPECT_FALSE(majority_of(ballot_of({reading(0.2f), reading(0.4f), reading(0.8f)}), kNoGains, kTolerance));
+  EXPECT_FALSE(majority_of(ballot_of({reading(0.4f), reading(0.4f), reading(0.8f), reading(0.8f)}), kNoGains, kTolerance));
+}
+
+TEST(Ballot, AReadingOfLittleWeightHasLessThanAVote) {
+  // two poor photographs do not outvote two good ones, nor one
+  const auto good = majority_of(ballot_of({reading(0.4f), reading(0.4f), reading(0.8f, 0.001f), reading(0.8f, 0.001f)}), kNoGains, kTolerance);
+  ASSERT_TRUE(good);
+  EXPECT_EQ(good->members, 0b0011);
+  EXPECT_FALSE(majority_of(ballot_of({reading(0.4f), reading(0.8f, 0.001f), reading(0.8f, 0.001f)}), kNoGains, kTolerance));
+}
+
+TEST(Ballot, GainsMakeBrighterPhotographsAgree) {
+  const Ballot ballot = ballot_of({reading(0.4f), reading(0.52f), reading(0.4f)});
+  std::vector<Vec3f> gains = kNoGains;
+  gains[1].setConstant(std::log(0.4f / 0.52f));
+  const auto majority = majority_of(ballot, gains, kTolerance);
+  ASSERT_TRUE(majority);
+  EXPECT_EQ(majority->members, 0b111);
+  EXPECT_NEAR(with_gain(log_value(Vec3f::Constant(0.52f), 0.5f), gains[1])[2], std::log(0.8f + kDarkOffset), 1e-5f);
+}
+
+TEST(Ballot, OneChannelIsEnoughToDisagree) {
+  Sample red = reading(0.4f);
+  red.low[0] = 0.6f;
+  const auto majority = majority_of(ballot_of({reading(0.4f), reading(0.4f), red}), kNoGains, kTolerance);
+  ASSERT_TRUE(majority);
+  EXPECT_EQ(majority->members, 0b011);
+}
+
+}  // namespace
+}  // namespace chiaro::blend

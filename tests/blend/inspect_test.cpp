@@ -1,0 +1,111 @@
+#include "blend/inspect.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <functional>
+
+#include "stream/base/rng.h"
+
+namespace chiaro::blend {
+namespace {
+
+constexpr int kWidth = 120, kHeight = 90;
+
+/// Band-limited detail on the surface, in pixels.
+float detail(double x, double y) {
+  double sum = 0;
+  for (std::uint64_t i = 0; i < 24; ++i) {
+    const auto u = uniform01x4(21, Purpose::kTest, i, 0);
+    sum += 0.04 * std::sin((0.3 + static_cast<double>(u[0])) * x + (static_cast<double>(u[1]) * 2 - 1) * y + 6.28 * static_cast<double>(u[2]));
+  }
+  return static_cast<float>(sum);
+}
+
+/// A photograph that shows the surface (dx, dy) pixels beside where it is.
+PhotoWindow window_of(double dx, double dy) {
+  PhotoWindow window{kWidth, 0, kHeight, std::vector<WindowPixel>(kWidth * kHeight)};
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x) {
+      WindowPixel& p = window.pixels[static_cast<std::size_t>(y * kWidth + x)];
+      p.weight = 1;
+      p.low = Vec3f::Constant(0.5f);
+      p.high = Vec3f::Constant(0.5f * detail(x + 0.5 - dx, y + 0.5 - dy));
+    }
+  return window;
+}
+
+/// Three others agree on each point; photograph 0 reads `value` there.
+InspectionCounts inspected(const PhotoWindow& window, const std::function<float(const Vec2d&)>& value, double others_dx = 0) {
+  InspectionCounts counts(kWidth, kHeight);
+  const std::vector<Vec3f> no_gains(4, Vec3f::Zero());
+  for (std::uint64_t i = 0; i < 4000; ++i) {
+    const auto u = uniform01x4(22, Purpose::kTest, i, 0);
+    const Vec2d pixel(static_cast<double>(u[0]) * kWidth, static_cast<double>(u[1]) * kHeight);
+    Ballot ballot;
+    for (std::uint16_t k = 0; k < 4; ++k)
+      cast_vote(ballot, k, {0, 1, 0.01f, 0, Vec3f::Constant(0.5f), Vec3f::Constant(0.5f * detail(pixel.x() - (k == 3 ? others_dx : 0), pixel.y()))}, 0.5f);
+    const auto majority = majority_of(ballot, no_gains, 0.05f);
+    inspect_reading(ballot, *majority, 0, log_value(Vec3f::Constant(value(pixel)), 0.5f), 0.05f, pixel, window, counts);
+  }
+  return counts;
+}
+float agrees(const Vec2d&) { return 0.5f; }
+
+TEST(Inspect, FindsShiftsToAFractionOfAPixel) {
+  for (const Vec2f& shift : {Vec2f(0, 0), Vec2f(2, 0), Vec2f(-1.5f, 0.75f), Vec2f(0.3f, -2.6f)}) {
+    const Inspection i = conclude(inspected(window_of(static_cast<double>(shift.x()), static_cast<double>(shift.y())), agrees));
+    ASSERT_TRUE(i.shift_px);
+    EXPECT_NEAR((*i.shift_px - shift).norm(), 0, 0.1f) << shift.transpose();
+    EXPECT_LT(i.shift_spread_px, 0.15f);
+    EXPECT_GT(i.correlation, 0.9f);
+    EXPECT_FALSE(i.disturbed);
+  }
+}
+
+TEST(Inspect, OneShiftedPhotographAmongTheOthersIsNotTakenForTheTruth) {
+  const Inspection i = conclude(inspected(window_of(0, 0), agrees, 3));
+  ASSERT_TRUE(i.shift_px);
+  EXPECT_LT(i.shift_px->norm(), 0.3f);
+}
+
+TEST(Inspect, SurfacesWithoutDetailHaveNoShift) {
+  PhotoWindow flat = window_of(0, 0);
+  for (WindowPixel& p : flat.pixels) p.high.setZero();
+  EXPECT_FALSE(conclude(inspected(flat, agrees)).shift_px);
+  EXPECT_FALSE(conclude(InspectionCounts(kWidth, kHeight)).shift_px);
+}
+
+TEST(Inspect, NamesThePartThatShowsSomethingElse) {
+  const auto disc = [](const Vec2d& p) { return (p - Vec2d(80, 30)).norm() < 18 ? 0.1f : 0.5f; };
+  const Inspection i = conclude(inspected(window_of(0, 0), disc));
+  ASSERT_TRUE(i.disturbed);
+  EXPECT_NEAR(i.disturbed->x0, 62, 12);
+  EXPECT_NEAR(i.disturbed->x1, 98, 12);
+  EXPECT_NEAR(i.disturbed->y0, 12, 12);
+  EXPECT_NEAR(i.disturbed->y1, 48, 12);
+  EXPECT_GT(i.disturbed->outvoted, 250u);
+  ASSERT_TRUE(i.shift_px);   // what agrees still says where the photograph lies
+  EXPECT_LT(i.shift_px->norm(), 0.1f);
+}
+
+TEST(Inspect, WhatIsDoneAboutAShift) {
+  Inspection i;
+  EXPECT_EQ(alignment_for(i).trust, 1);
+  i.shift_px = Vec2f(0.2f, 0.1f);
+  EXPECT_EQ(alignment_for(i).shift_px, Vec2f(0, 0));
+  EXPECT_EQ(alignment_for(i).trust, 1);
+  i.shift_px = Vec2f(2, 0);
+  EXPECT_EQ(alignment_for(i).shift_px, Vec2f(2, 0));
+  EXPECT_EQ(alignment_for(i).trust, 1);
+  i.shift_spread_px = 1.5f;   // not a shift of the whole
+  EXPECT_EQ(alignment_for(i).shift_px, Vec2f(0, 0));
+  EXPECT_LT(alignment_for(i).trust, 0.1f);
+  i = {};
+  i.shift_px = Vec2f(4, 0);   // or more
+  EXPECT_EQ(alignment_for(i).shift_px, Vec2f(0, 0));
+  EXPECT_LT(alignment_for(i).trust, 0.05f);
+}
+
+}  // namespace
+}  // namespace chiaro::blend

@@ -1,0 +1,14 @@
+/// What the blend found out about each photograph, for run.json and in sentences.
+#pragma once
+#include <span>
+#include <string>
+
+#include "blend/blend.h"
+
+namespace chiaro::tools {
+
+/// {"points", "points_seen", "points_disputed", "samples", "scatter", "photographs": [{"photograph", "samples", "rejected", "gain", "shift_px", …}], "notes": [sentences]}
+/// photographs: those of the stats, in the same order.
+std::string blend_record_json(const blend::BlendStats& stats, std::span<const blend::BlendPhotograph> photographs);
+
+}  // namespace chiaro::tools
