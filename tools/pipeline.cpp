@@ -25,7 +25,7 @@
 #include "tools/blend_record.h"
 #include "tools/export_points.h"
 #include "tools/ingest.h"
-#include "tools/light_spread.h"
+#include "tools/light_spread_json.h"
 #include "tools/run_folder.h"
 #include "tools/task_log.h"
 

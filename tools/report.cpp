@@ -5,7 +5,7 @@
 #include <numeric>
 #include <set>
 
-#include "tools/light_spread.h"
+#include "tools/light_spread_json.h"
 #include "tools/report_data.h"
 #include "tools/table.h"
 

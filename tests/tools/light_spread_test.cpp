@@ -1,4 +1,4 @@
-#include "tools/light_spread.h"
+#include "tools/light_spread_json.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
