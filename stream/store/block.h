@@ -82,7 +82,9 @@ inline constexpr float kSnorm = 32752.0f;
 /// The point of the octahedron, not yet on the sphere.
 inline Vec3f decode_octahedron(std::int16_t qu, std::int16_t qv) {
   const int iu = qu & ~15, iv = qv & ~15;
-  const float u = static_cast<float>(iu < -32752 ? -32752 : iu) / kSnorm, v = static_cast<float>(iv < -32752 ? -32752 : iv) / kSnorm;
+  // A product of doubles, rounded, is the quotient of floats for each of the 4095 numbers, and faster.
+  constexpr double kOverSnorm = 1 / static_cast<double>(kSnorm);
+  const auto u = static_cast<float>((iu < -32752 ? -32752 : iu) * kOverSnorm), v = static_cast<float>((iv < -32752 ? -32752 : iv) * kOverSnorm);
   const float au = std::abs(u), av = std::abs(v), z = 1 - au - av;
   return {z < 0 ? std::copysign(1 - av, u) : u, z < 0 ? std::copysign(1 - au, v) : v, z};
 }

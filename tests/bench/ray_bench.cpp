@@ -288,7 +288,7 @@ void measure(const char* name, const std::vector<Ray>& rays, const surfels::Trac
                            {"native blend", [&](const Ray& r) { return native.blended(r) < 1e29f; }, {}, 0},
                            {"native occluded", [&](const Ray& r) { return native.occluded(r); }, {}, 0}};
   for (int round = 0; round < rounds; ++round)
-    for (Measure& m : all) if(!getenv("ONLY") || std::string(m.name)==getenv("ONLY")) run_once(rays, m); else m.mrays.push_back(1);
+    for (Measure& m : all) run_once(rays, m);
   const auto share = [&](const Measure& m) { return 100 * static_cast<double>(m.hits) / static_cast<double>(rays.size()); };
   std::printf("%-11s  Mray a second of one core (hits %%):", name);
   for (const Measure& m : all) std::printf("  %s %.3f (%.3f)", m.name, m.median(), share(m));
@@ -333,7 +333,7 @@ int main(int count, char** words) {
                 native.bytes() / n, native_s);
     const std::vector<Ray> coherent = camera_rays(options.size);
     measure("coherent", coherent, tracer, native, options.rounds);
-    if(getenv("INC")) measure("incoherent", bounced_rays(coherent, tracer), tracer, native, options.rounds);
+    measure("incoherent", bounced_rays(coherent, tracer), tracer, native, options.rounds);
     return 0;
   } catch (const std::exception& e) {
     std::fprintf(stderr, "error: %s\n", e.what());

@@ -76,6 +76,10 @@ TEST(Block, AnyNormalCodeDecodesToAUnitVector) {
     for (int v = -32768; v < 32768; v += 991) EXPECT_NEAR(decode_normal(static_cast<std::int16_t>(u), static_cast<std::int16_t>(v)).norm(), 1.0f, 1e-5f);
 }
 
+TEST(Block, CoordinatesOnTheOctahedronAreRoundedOnce) {
+  for (int k = -2047; k <= 2047; ++k) ASSERT_EQ(decode_octahedron(static_cast<std::int16_t>(16 * k), 0).x(), static_cast<float>(k) / 2047.0f) << k;
+}
+
 TEST(Block, RadiusCodesRoundUpByLessThanAStep) {
   const float largest = 0.37f;
   EXPECT_EQ(encode_radius(largest, largest), 255);
