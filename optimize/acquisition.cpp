@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "optimize/adam.h"
+#include "optimize/exposure.h"
 #include "optimize/fields.h"
 #include "optimize/photo_band.h"
 #include "optimize/proxy_file.h"
@@ -383,7 +384,7 @@ class LightProblem {
  public:
   LightProblem(const Scene& scene, const Smoother& smoother, const AcquisitionInput& input, const AcquisitionOptions& options, std::vector<std::size_t> photographs,
                const std::filesystem::path& folder, double bounce_sd)
-      : bounce_sd_(bounce_sd), scene_(scene), smoother_(smoother), input_(input), options_(options), photographs_(std::move(photographs)), folder_(folder), times_seen_(scene.proxy.size(), 0) {
+      : bounce_sd_(bounce_sd), scene_(scene), smoother_(smoother), input_(input), options_(options), photographs_(std::move(photographs)), folder_(folder), times_seen_(scene.proxy.size(), 0), exposures_(input.photographs.size(), 1.0) {
     for (const std::size_t k : photographs_) {
       const Observation o = read(k);
       for (std::size_t i = 0; i < times_seen_.size(); ++i) times_seen_[i] = static_cast<std::uint16_t>(times_seen_[i] + o.seen[i]);
@@ -423,6 +424,11 @@ class LightProblem {
       change = light_change(before, solution.lights);
       report.progress(static_cast<std::uint64_t>(std::min(outer + 1, options_.outer_iterations)));
       const bool settled = outer > kBounceCheck && change < kOuterTolerance;
+      if (exposure_rounds_ < kExposureRounds && outer > kBounceCheck && change < kSettled && even_exposures(solution.lights)) {
+        most = outer + 1 + options_.outer_iterations;
+        albedo = mean_albedo(solution.lights);
+        continue;
+      }
       if (choose_sky && (change < kSettled || outer + 1 == most) && outer > kBounceCheck) {
         choose_sky = false;
         if (!choose_richer_sky(start, solution) && settled) break;
@@ -439,14 +445,39 @@ class LightProblem {
     return solution;
   }
 
+  /// Of the photographs of the input: factors that were taken out.
+  const std::vector<double>& exposures() const { return exposures_; }
   SkyShape sky() const { return sky_; }
   const std::vector<SkyEvidence>& sky_evidence() const { return sky_evidence_; }
   const std::vector<float>& albedo() const { return albedo_; }
   bool without_bounces() const { return without_bounces_; }
 
  private:
+  static constexpr int kExposureRounds = 4;     ///< each one sees what the lights had taken for their own before
   static constexpr int kTrialIterations = 15;   ///< from a settled start: enough to compare models
   static constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
+
+  /// Takes the factor of brightness out of photographs that are clearly off. Returns whether there were any.
+  bool even_exposures(const Lights& lights) {
+    ++exposure_rounds_;
+    if (use_pairs_) return false;
+    const std::vector<double> found = unlike_exposures(samples_, lights, exposures_);
+    bool any = false;
+    for (const std::size_t k : photographs_) {
+      if (std::fabs(std::log(found[k])) < kSettled) continue;
+      any = true;
+      exposures_[k] *= found[k];
+      const float factor = static_cast<float>(1 / found[k]);
+      Observation o = read(k);
+      for (std::size_t i = 0; i < o.seen.size(); ++i)
+        for (std::size_t c = 3 * i; o.seen[i] && c < 3 * i + 3; ++c) o.radiosity[c] *= factor;
+      write_observation(o, observation_path(folder_, k));
+      for (ReferenceReading& r : references_)
+        if (r.photograph == k)
+          for (float& b : r.reference.sample.radiosity) b *= factor;
+    }
+    return any;
+  }
 
   std::vector<SkyShape> richer_skies(const SkyShape& plain) const {
     std::vector<SkyShape> shapes{plain};
@@ -515,6 +546,8 @@ class LightProblem {
   void add_sample(std::size_t k, const Observation& o, const std::vector<float>& g, std::size_t i, std::uint32_t group) {
     LightSample s = sample_of(scene_.transport, o, g, i);
     s.group = group;
+    s.photograph = static_cast<std::uint32_t>(k);
+    s.flash_photograph = input_.photographs[k].flash_in_camera.has_value();
     for (float& t : s.sky) t *= static_cast<float>(ambient_scale(k));
     for (float& t : s.hidden) t *= static_cast<float>(ambient_scale(k));
     samples_.push_back(s);
@@ -584,6 +617,7 @@ class LightProblem {
   const std::vector<std::size_t> photographs_;
   const std::filesystem::path folder_;
   std::vector<std::uint16_t> times_seen_;
+  std::vector<double> exposures_;
   std::vector<std::uint32_t> nearest_seen_, chosen_;
   std::vector<Pair> pairs_;
   std::vector<ReferenceReading> references_;
@@ -591,6 +625,7 @@ class LightProblem {
   std::vector<float> albedo_;
   SkyShape sky_;
   std::vector<SkyEvidence> sky_evidence_;
+  int exposure_rounds_ = 0;
   bool use_pairs_ = false, without_bounces_ = false;
 };
 
@@ -715,6 +750,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
     report.end();
   }
   result.light_of_photograph.assign(count, 0);
+  result.exposures.assign(count, 1.0);
   std::vector<std::size_t> with_flash, without_flash;
   for (std::size_t k = 0; k < count; ++k) (input.photographs[k].flash_in_camera ? with_flash : without_flash).push_back(k);
   const SkyShape sky = sky_shape(input.sky);
@@ -754,6 +790,8 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
       report.end();
       for (const std::size_t k : photographs)
         if (number == 0 || input.photographs[k].flash_in_camera) result.light_of_photograph[k] = number;
+      for (const std::size_t k : photographs)
+        if (problem.exposures()[k] != 1) result.exposures[k] = problem.exposures()[k];
       result.sky_model = problem.sky().name();
       result.sky_evidence = problem.sky_evidence();
       albedo = problem.albedo();

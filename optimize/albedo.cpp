@@ -34,6 +34,7 @@ struct Context {
   const LightSolution& solution;
   const std::vector<float>&gathered, &floor_flash;   ///< floor_flash empty: no floor
   const AlbedoOptions& options;
+  double exposure;
   Vec3f flash;   ///< scene frame of the proxy
 };
 
@@ -88,7 +89,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   if (!(total_mean > 0)) return out;
   double noise = 0;
   for (std::size_t ch = 0; ch < 3; ++ch) {
-    out.albedo[ch] = static_cast<float>(kPi * static_cast<double>(colour[ch]) / h[ch]);
+    out.albedo[ch] = static_cast<float>(kPi * static_cast<double>(colour[ch]) / (c.exposure * h[ch]));
     const double z = std::max(static_cast<double>(colour[ch]), 1e-9);
     noise += (c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma)) / (z * z) / 3;
   }
@@ -149,7 +150,7 @@ AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, con
   std::vector<stream::PlaneInfo> planes;
   for (const char* name : names) planes.push_back({name, stream::PlaneType::kF32});
   stream::RasterWriter out(raster, width, height, planes);
-  const Context context{scene, photograph, lights, gathered, floor_flash, options, (flash_in_world - scene.proxy.origin_in_world).cast<float>()};
+  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.exposure, (flash_in_world - scene.proxy.origin_in_world).cast<float>()};
   AlbedoStats stats;
   std::vector<float> sigmas;
   report.begin(concat("albedo ", photograph.camera.photograph), static_cast<std::uint64_t>(height), "rows");

@@ -17,6 +17,7 @@ struct AlbedoOptions {
 /// What the light stage left for a photograph.
 struct AlbedoInputs {
   std::filesystem::path gathered, floor_flash;   ///< floor_flash is read where the lights have a floor
+  double exposure = 1;                           ///< factor of the photograph's brightness to take out
 };
 
 struct AlbedoStats {

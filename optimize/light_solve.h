@@ -27,6 +27,8 @@ struct Lights {
 /// One photograph's view of one surfel.
 struct LightSample {
   std::uint32_t group = 0;                    ///< samples of one group share their albedo; sorted by group
+  std::uint32_t photograph = 0;
+  bool flash_photograph = true;               ///< taken with flash, whether it gets here or not
   std::array<float, 3> radiosity{}, gathered{};
   float flash = 0;                            ///< d
   std::array<float, kSkyTerms> sky{};         ///< T

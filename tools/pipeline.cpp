@@ -27,6 +27,7 @@
 #include "tools/ingest.h"
 #include "tools/light_spread_json.h"
 #include "tools/run_folder.h"
+#include "tools/table.h"
 #include "tools/task_log.h"
 
 namespace chiaro::tools {
@@ -374,6 +375,9 @@ class Pipeline {
     });
     shoot.lights = lights_from_json(info);
     for (const std::string& n : shoot.lights.notes) note_both(n);
+    for (std::size_t k = 0; k < shoot.lights.exposures.size(); ++k)
+      if (const double e = shoot.lights.exposures[k]; e != 1)
+        note_both(concat(input.names[k], ": ", format_number(e, 3), " times as bright as the other photographs of its acquisition say; this was taken out before the lights were solved"));
     if (shoot.lights.proxy_seen == 0 && input.method != Method::kDirect && input.method != Method::kAdam)
       throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph; are cameras and cloud in the same frame?"));
   }
@@ -403,7 +407,7 @@ class Pipeline {
     }
     Json evidence = Json::array();
     for (const optimize::SkyEvidence& e : r.sky_evidence) evidence.push_back({{"model", e.model}, {"parameters", e.parameters}, {"criterion", e.criterion}});
-    return {{"sky_evidence", evidence}, {"lights", lights}, {"light_of_photograph", r.light_of_photograph}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
+    return {{"sky_evidence", evidence}, {"lights", lights}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
             {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
   }
 
@@ -433,6 +437,7 @@ class Pipeline {
     }
     for (const Json& e : j["sky_evidence"]) r.sky_evidence.push_back({e["model"].get<std::string>(), e["parameters"].get<int>(), e["criterion"].get<double>()});
     r.light_of_photograph = j["light_of_photograph"].get<std::vector<std::size_t>>();
+    r.exposures = j["exposures"].get<std::vector<double>>();
     r.proxy_surfels = j["proxy_surfels"];
     r.proxy_seen = j["proxy_seen"];
     r.back_share = j["back_share"];
@@ -461,7 +466,7 @@ class Pipeline {
         if (!scene) scene = std::make_unique<optimize::Scene>(optimize::load_scene(store, folder));
         const Vec3d flash = photo.camera.pose.world_from_camera(a.flash->offset_in_camera);
         const optimize::AlbedoStats s = optimize::solve_albedo(*scene, observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
-                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k)}, options, raster, report_);
+                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), lead.lights.exposures[k]}, options, raster, report_);
         optimize::write_albedo_pictures(raster, pictures);
         return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
       });
@@ -533,6 +538,8 @@ class Pipeline {
     a["sky_model"] = lights.sky_model;
     for (const optimize::SkyEvidence& e : lights.sky_evidence) a["sky_evidence"].push_back({{"model", e.model}, {"parameters", e.parameters}, {"criterion", e.criterion}});
     a["proxy_surfels"] = lights.proxy_surfels;
+    for (const Photo& p : shoot.photos)
+      if (lights.exposures.size() > p.index_in_lights && lights.exposures[p.index_in_lights] != 1) a["exposures"][p.input->key] = lights.exposures[p.index_in_lights];
     a["how"] = how_found(shoot);
     const Acquisition& input = *shoot.acquisition;
     if (input.flash->intensity_range) a["calibrated_range"] = *input.flash->intensity_range;

@@ -1,0 +1,91 @@
+#include "optimize/exposure.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace chiaro::optimize {
+namespace {
+
+constexpr int kRounds = 24;
+
+double median(std::vector<double>& v) {
+  const auto mid = v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2);
+  std::nth_element(v.begin(), mid, v.end());
+  if (v.size() % 2 == 1) return *mid;
+  return 0.5 * (*mid + *std::max_element(v.begin(), mid));
+}
+
+/// ln albedo of a surfel as one photograph has it.
+struct Reading {
+  std::uint32_t group, photograph;
+  double ln_albedo;
+};
+
+/// Of surfels that two flash photographs or more have measured.
+std::vector<Reading> readings_of(std::span<const LightSample> samples, const Lights& lights) {
+  std::vector<Reading> all, shared;
+  for (const LightSample& s : samples) {
+    if (!s.flash_photograph) continue;
+    double sum = 0;
+    bool fine = true;
+    for (int c = 0; c < 3; ++c) {
+      const double h = irradiance(lights, s, c), b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]);
+      fine = fine && h > 0 && b > 0;
+      if (fine) sum += std::log(b / h) / 3;
+    }
+    if (fine) all.push_back({s.group, s.photograph, sum});
+  }
+  for (std::size_t i = 0; i < all.size();) {
+    std::size_t e = i + 1;
+    while (e < all.size() && all[e].group == all[i].group) ++e;
+    if (e - i >= 2) shared.insert(shared.end(), all.begin() + static_cast<std::ptrdiff_t>(i), all.begin() + static_cast<std::ptrdiff_t>(e));
+    i = e;
+  }
+  return shared;
+}
+
+/// One round: how far each photograph lies off the median of the others, given the factors so far.
+std::vector<std::vector<double>> differences(const std::vector<Reading>& readings, const std::vector<double>& ln_factor) {
+  std::vector<std::vector<double>> found(ln_factor.size());
+  std::vector<double> others;
+  for (std::size_t i = 0; i < readings.size();) {
+    std::size_t e = i + 1;
+    while (e < readings.size() && readings[e].group == readings[i].group) ++e;
+    for (std::size_t k = i; k < e; ++k) {
+      others.clear();
+      for (std::size_t o = i; o < e; ++o)
+        if (o != k) others.push_back(readings[o].ln_albedo - ln_factor[readings[o].photograph]);
+      found[readings[k].photograph].push_back(readings[k].ln_albedo - ln_factor[readings[k].photograph] - median(others));
+    }
+    i = e;
+  }
+  return found;
+}
+
+}  // namespace
+
+std::vector<double> unlike_exposures(std::span<const LightSample> samples, const Lights& lights, std::span<const double> known, const ExposureOptions& options) {
+  std::vector<double> factors(known.size(), 1.0), ln_factor(known.size(), 0.0);
+  const std::vector<Reading> readings = readings_of(samples, lights);
+  std::vector<std::size_t> compared;
+  for (int round = 0; round < kRounds; ++round) {
+    std::vector<std::vector<double>> found = differences(readings, ln_factor);
+    compared.clear();
+    for (std::size_t k = 0; k < found.size(); ++k) {
+      if (found[k].size() < options.least_surfels) continue;
+      compared.push_back(k);
+      ln_factor[k] += 0.5 * median(found[k]);   // half: two photographs that differ meet in the middle
+    }
+  }
+  if (compared.size() < 3) return factors;
+  std::vector<double> values;
+  for (const std::size_t k : compared) values.push_back(ln_factor[k]);
+  const double middle = median(values);
+  for (double& v : values) v = std::fabs(v - middle);
+  const double limit = std::max(std::log1p(options.least), options.least_scatters * 1.4826 * median(values));
+  for (const std::size_t k : compared)
+    if (known[k] != 1 || std::fabs(ln_factor[k] - middle) >= limit) factors[k] = std::exp(ln_factor[k] - middle);
+  return factors;
+}
+
+}  // namespace chiaro::optimize

@@ -1,0 +1,93 @@
+#include "optimize/exposure.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "stream/base/rng.h"
+
+namespace chiaro::optimize {
+namespace {
+
+constexpr std::size_t kPhotographs = 6;
+
+Lights lights() {
+  Lights x;
+  x.flash_intensity = 10;
+  x.sky[0] = 0.1;
+  return x;
+}
+
+/// Surfels that three of six photographs see each, with 3 % of noise; the brightness of each photograph times its factor.
+std::vector<LightSample> samples_of(const std::vector<double>& factors, std::size_t surfels = 900) {
+  std::vector<LightSample> samples;
+  for (std::size_t i = 0; i < surfels; ++i)
+    for (std::size_t n = 0; n < 3; ++n) {
+      const auto u = uniform01x4(4, Purpose::kTest, i, static_cast<std::uint32_t>(n));
+      LightSample s;
+      s.group = static_cast<std::uint32_t>(i);
+      s.photograph = static_cast<std::uint32_t>((i + n * (1 + i % 2)) % factors.size());
+      s.flash = 0.1f + u[0];
+      s.sky[0] = 3;
+      for (std::size_t c = 0; c < 3; ++c) {
+        s.gathered[c] = 0.2f * u[1];
+        const double albedo = 0.2 + 0.1 * static_cast<double>((i + c) % 6), noise = std::exp(0.03 * normal01(6, Purpose::kTest, 10 * i + n, static_cast<std::uint32_t>(c)));
+        s.radiosity[c] = static_cast<float>(factors[s.photograph] * albedo * noise * irradiance(lights(), s, static_cast<int>(c)));
+      }
+      samples.push_back(s);
+    }
+  return samples;
+}
+
+const std::vector<double> kAlike(kPhotographs, 1.0);
+
+TEST(Exposure, FindsThePhotographThatIsUnlikeTheOthers) {
+  for (const double factor : {1.3, 0.6}) {
+    std::vector<double> factors = kAlike;
+    factors[2] = factor;
+    const std::vector<double> found = unlike_exposures(samples_of(factors), lights(), kAlike);
+    for (std::size_t k = 0; k < kPhotographs; ++k) EXPECT_NEAR(found[k], factors[k], k == 2 ? 0.01 * factor : 0.0) << k;
+  }
+}
+
+TEST(Exposure, FindsTwoOfSix) {
+  std::vector<double> factors = kAlike;
+  factors[0] = 1.5;
+  factors[4] = 0.8;
+  const std::vector<double> found = unlike_exposures(samples_of(factors), lights(), kAlike);
+  EXPECT_NEAR(found[0], 1.5, 0.03);
+  EXPECT_NEAR(found[4], 0.8, 0.02);
+  EXPECT_EQ(found[1], 1);
+}
+
+TEST(Exposure, LeavesSmallDifferencesAlone) {
+  EXPECT_EQ(unlike_exposures(samples_of(kAlike), lights(), kAlike), kAlike);
+  std::vector<double> factors{1.01, 0.985, 1.02, 0.99, 1.0, 1.015};
+  EXPECT_EQ(unlike_exposures(samples_of(factors), lights(), kAlike), kAlike);
+}
+
+TEST(Exposure, LeavesPhotographsAloneThatAllDiffer) {
+  const std::vector<double> factors{0.8, 0.87, 0.95, 1.05, 1.15, 1.25};   // nobody is unlike the others; the lights' model may be
+  EXPECT_EQ(unlike_exposures(samples_of(factors), lights(), kAlike), kAlike);
+}
+
+TEST(Exposure, CorrectsWhatRemainsOfAFactorByHoweverLittle) {
+  std::vector<double> factors = kAlike, known = kAlike;
+  factors[3] = 1.02;
+  known[3] = 1.25;
+  EXPECT_NEAR(unlike_exposures(samples_of(factors), lights(), known)[3], 1.02, 0.01);
+}
+
+TEST(Exposure, DoesNotJudgeBetweenTwoNorByFew) {
+  EXPECT_EQ(unlike_exposures(samples_of({1.0, 1.4}), lights(), std::vector<double>(2, 1.0)), std::vector<double>(2, 1.0));
+  std::vector<double> factors = kAlike;
+  factors[2] = 1.4;
+  EXPECT_EQ(unlike_exposures(samples_of(factors, 30), lights(), kAlike), kAlike);
+  std::vector<LightSample> dark = samples_of(factors);
+  for (LightSample& s : dark) s.flash_photograph = s.photograph != 2;
+  EXPECT_EQ(unlike_exposures(dark, lights(), kAlike), kAlike) << "photographs without flash take no part";
+  EXPECT_EQ(unlike_exposures({}, lights(), kAlike), kAlike);
+}
+
+}  // namespace
+}  // namespace chiaro::optimize
