@@ -416,7 +416,7 @@ class LightProblem {
     int most = options_.outer_iterations;
     for (outer = 0; outer < most; ++outer) {
       report.check();
-      albedo = sweep(solution.lights, albedo, outer < 2 ? kFirstSweeps : kLaterSweeps, relaxation.share());
+      sweep(solution.lights, albedo, outer < 2 ? kFirstSweeps : kLaterSweeps, relaxation.share());
       const Lights before = solution.lights;
       const LightSolveOptions light_options = current_options(start);
       solution = solve_lights(samples_, current_references(), light_options, before);
@@ -424,24 +424,22 @@ class LightProblem {
       change = light_change(before, solution.lights);
       report.progress(static_cast<std::uint64_t>(std::min(outer + 1, options_.outer_iterations)));
       const bool settled = outer > kBounceCheck && change < kOuterTolerance;
-      if (exposure_rounds_ < kExposureRounds && outer > kBounceCheck && change < kSettled && even_exposures(solution.lights)) {
-        most = outer + 1 + options_.outer_iterations;
-        albedo = mean_albedo(solution.lights);
-        continue;
-      }
-      if (choose_sky && (change < kSettled || outer + 1 == most) && outer > kBounceCheck) {
+      const bool evened = exposure_rounds_ < kExposureRounds && outer > kBounceCheck && change < kSettled && even_exposures(solution.lights);
+      bool chose = false, richer = false;
+      if (!evened && choose_sky && (change < kSettled || outer + 1 == most) && outer > kBounceCheck) {
         choose_sky = false;
-        if (!choose_richer_sky(start, solution) && settled) break;
-        most = outer + 1 + options_.outer_iterations;
-      } else if (settled) {
-        break;
+        chose = true;
+        richer = choose_richer_sky(start, solution);
       }
-      if (outer > 0) relaxation.observe(light_step(before, solution.lights));
       albedo = mean_albedo(solution.lights);
+      if (!evened && settled && !richer) break;
+      if (evened || chose) most = outer + 1 + options_.outer_iterations;
+      if (!evened && outer > 0) relaxation.observe(light_step(before, solution.lights));
     }
     solution.converged = solution.converged && change < kSettled;
     // With the lights final: the gathered light that the albedo stage reads.
-    albedo_ = sweep(solution.lights, albedo, kFirstSweeps, relaxation.share());
+    sweep(solution.lights, albedo, kFirstSweeps, relaxation.share());
+    albedo_ = mean_albedo(solution.lights);
     return solution;
   }
 
@@ -559,9 +557,8 @@ class LightProblem {
     return o;
   }
 
-  /// One pass over the photographs: completes their radiosity under the lights (`share` of it new), refreshes the samples, and returns the new mean albedo.
-  std::vector<float> sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share) {
-    AlbedoMean mean(scene_.proxy.size());
+  /// One pass over the photographs: completes their radiosity under the lights (`share` of it new) and refreshes the samples.
+  void sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share) {
     samples_.clear();
     for (const std::size_t k : photographs_) {
       Observation o = read(k);
@@ -572,7 +569,6 @@ class LightProblem {
         blend_into(o.radiosity, before, share);
         blend_into(g, read_floats(gathered_path(folder_, k), g.size()), share);
       }
-      mean.add(scene_.transport, o, g, exposed(lights, ambient_scale(k)));
       if (use_pairs_) {
         for (std::size_t p = 0; p < pairs_.size(); ++p)
           for (const std::uint32_t i : {pairs_[p].a, pairs_[p].b}) {
@@ -592,7 +588,6 @@ class LightProblem {
       write_floats(g, gathered_path(folder_, k));
     }
     std::stable_sort(samples_.begin(), samples_.end(), [](const LightSample& a, const LightSample& b) { return a.group < b.group; });
-    return mean.albedo(nearest_seen_);
   }
 
   /// The albedo that the photographs have under these lights, with the light gathered last: what unseen surfels radiate must not lag behind the lights by a step,
