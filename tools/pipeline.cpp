@@ -392,6 +392,12 @@ class Pipeline {
     return ordered;
   }
 
+  static Json evidence_json(const std::vector<optimize::SkyEvidence>& evidence) {
+    Json all = Json::array();
+    for (const optimize::SkyEvidence& e : evidence) all.push_back({{"model", e.model}, {"parameters", e.parameters}, {"criterion", e.criterion}});
+    return all;
+  }
+
   static Json light_json(const optimize::AcquisitionResult& r) {
     Json lights = Json::array();
     for (const optimize::LightSolution& s : r.lights) {
@@ -405,9 +411,7 @@ class Pipeline {
                         {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"floor", s.lights.floor}, {"floor_albedo", s.lights.floor_albedo}, {"covariance", covariance}, {"scatter", s.scatter},
                         {"groups", s.groups}, {"samples", s.samples}, {"iterations", s.iterations}, {"converged", s.converged}, {"scale_known", s.scale_known}});
     }
-    Json evidence = Json::array();
-    for (const optimize::SkyEvidence& e : r.sky_evidence) evidence.push_back({{"model", e.model}, {"parameters", e.parameters}, {"criterion", e.criterion}});
-    return {{"sky_evidence", evidence}, {"lights", lights}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
+    return {{"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
             {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
   }
 
@@ -536,7 +540,7 @@ class Pipeline {
       return found;
     };
     a["sky_model"] = lights.sky_model;
-    for (const optimize::SkyEvidence& e : lights.sky_evidence) a["sky_evidence"].push_back({{"model", e.model}, {"parameters", e.parameters}, {"criterion", e.criterion}});
+    if (!lights.sky_evidence.empty()) a["sky_evidence"] = evidence_json(lights.sky_evidence);
     a["proxy_surfels"] = lights.proxy_surfels;
     for (const Photo& p : shoot.photos)
       if (lights.exposures.size() > p.index_in_lights && lights.exposures[p.index_in_lights] != 1) a["exposures"][p.input->key] = lights.exposures[p.index_in_lights];

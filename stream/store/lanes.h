@@ -4,19 +4,10 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "stream/base/intrinsics.h"
 #include "stream/store/near_kernels.h"
 
 #if defined(__x86_64__)
-#if defined(__clang__)
-#include <immintrin.h>
-#else  // GCC 12 warns of its own intrinsics
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wuninitialized"
-#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
-#include <immintrin.h>
-#pragma GCC diagnostic pop
-#endif
-
 #define CHIARO_AVX2 __attribute__((target("avx2,popcnt")))
 #define CHIARO_AVX512 __attribute__((target("avx512f,avx512bw,avx512dq,avx512vl,avx2,popcnt")))
 #endif
