@@ -17,6 +17,7 @@ namespace {
 
 constexpr float kPi = std::numbers::pi_v<float>;
 constexpr int kBandRows = 64;
+constexpr float kOneSurfaceRadii = 2;   ///< depths within a pixel that differ by more belong to two surfaces
 
 /// The geometry of a view and the albedo of its surfels.
 struct RenderSet {
@@ -64,12 +65,18 @@ OtherLight other_light(const stream::Store& store, const Scene& scene, const std
   return other;
 }
 
+/// What a pixel of the view shows.
+struct Shaded {
+  Vec3f value = Vec3f::Zero();    ///< radiance, or the albedo itself, of the covered part
+  Vec3f albedo = Vec3f::Zero();   ///< of the points
+  float depth = 0, radius = 0;    ///< mean distance along the rays; 0: more than one surface, or not all covered
+};
+
 struct Shader {
   const RenderSet& set;
-  const Scene& scene;
-  const std::vector<float>& proxy_albedo;
+  const RenderLights* solved;     ///< null: only the albedo is wanted
   const OtherLight& other;
-  const Lights& lights;
+  const Lights& lights;           ///< the view's own
   const RenderView& view;
   const RenderOptions& options;
   Vec3f eye, flash;               ///< tracer frame
@@ -89,10 +96,12 @@ struct Shader {
     }
     if (weight > 0) return sum / weight;
     unseen = true;
+    if (!solved) return Vec3f::Zero();
     std::uint32_t i;
     float d2;
-    scene.nearest->find(p + proxy_from_tracer, 1, &i, &d2);
-    return {proxy_albedo[3 * i], proxy_albedo[3 * i + 1], proxy_albedo[3 * i + 2]};
+    solved->scene.nearest->find(p + proxy_from_tracer, 1, &i, &d2);
+    const std::vector<float>& a = solved->proxy_albedo;
+    return {a[3 * i], a[3 * i + 1], a[3 * i + 2]};
   }
 
   float flash_irradiance(const Vec3f& p, const surfels::Hit& hit) const {
@@ -102,11 +111,13 @@ struct Shader {
     return cosine / r2;
   }
 
-  Vec3f shade(int x, int y, RenderStats& stats) const {
+  Shaded shade(int x, int y, RenderStats& stats) const {
     const int n = options.subpixels;
     Vec3f direct = Vec3f::Zero(), albedo = Vec3f::Zero(), point = Vec3f::Zero(), normal = Vec3f::Zero();
     int hits = 0;
     bool unseen = false;
+    float nearest = 1e30f, farthest = 0;
+    Shaded pixel;
     for (int j = 0; j < n; ++j)
       for (int i = 0; i < n; ++i) {
         const auto d = stream::unproject(view.lens, {x + (i + 0.5) / n, y + (j + 0.5) / n});
@@ -116,6 +127,10 @@ struct Shader {
         surfels::HitBlend blend;
         if (!set.tracer.closest(ray, hit, blend)) continue;
         ++hits;
+        nearest = std::min(nearest, hit.t);
+        farthest = std::max(farthest, hit.t);
+        pixel.depth += hit.t;
+        pixel.radius = std::max(pixel.radius, hit.radius);
         const Vec3f p = ray.origin + ray.direction * hit.t;
         const Vec3f a = albedo_of(blend, p, unseen);
         albedo += a;
@@ -123,14 +138,18 @@ struct Shader {
         normal += hit.normal;
         if (options.mode != RenderMode::kAlbedo) direct += a * flash_irradiance(p, hit);
       }
-    if (hits == 0) return Vec3f::Zero();
+    if (hits == 0) return pixel;
     ++stats.pixels_hit;
     stats.pixels_without_albedo += unseen;
     const float scale = 1.0f / static_cast<float>(hits), coverage = static_cast<float>(hits) / static_cast<float>(n * n);
     albedo *= scale;
-    if (options.mode == RenderMode::kAlbedo) return albedo * coverage;
+    pixel.albedo = albedo;
+    pixel.depth = hits == n * n && !unseen && farthest - nearest < kOneSurfaceRadii * pixel.radius ? pixel.depth * scale : 0.0f;
+    pixel.value = albedo * coverage;
+    if (options.mode == RenderMode::kAlbedo) return pixel;
     Vec3f radiance = direct * (scale * static_cast<float>(lights.flash_intensity));
     if (options.mode == RenderMode::kFull) {
+      const Scene& scene = solved->scene;
       const Stencil stencil = stencil_at(scene.proxy, *scene.nearest, point * scale + proxy_from_tracer, normal.normalized());
       const auto sky = interpolate<kSkyTerms>(stencil, scene.transport.sky);
       const auto g = interpolate<3>(stencil, other.gathered);
@@ -142,24 +161,59 @@ struct Shader {
         radiance[static_cast<Eigen::Index>(c)] +=
             albedo[static_cast<Eigen::Index>(c)] * (by_floor + static_cast<float>(lights.sky_colour[c]) * ambient + static_cast<float>(lights.bounce) * g[c]);
     }
-    return radiance * (coverage / kPi);
+    pixel.value = radiance * (coverage / kPi);
+    return pixel;
   }
 };
 
+/// Interleaved pixels of some rows.
+std::vector<float> render_rows(const Shader& shader, int y0, int rows, RenderStats& stats) {
+  const int width = shader.view.lens.width_px;
+  const std::size_t n = static_cast<std::size_t>(rows) * static_cast<std::size_t>(width);
+  std::vector<Vec3f> values(n);
+  ViewRows band{y0, rows, width, std::vector<float>(n), std::vector<float>(n), std::vector<Vec3f>(n)};
+  std::vector<RenderStats> row_stats(static_cast<std::size_t>(rows));
+  parallel_blocks(static_cast<std::size_t>(rows), 1, [&](std::size_t b, std::size_t e) {
+    for (std::size_t row = b; row < e; ++row)
+      for (int x = 0; x < width; ++x) {
+        const Shaded s = shader.shade(x, y0 + static_cast<int>(row), row_stats[row]);
+        const std::size_t i = row * static_cast<std::size_t>(width) + static_cast<std::size_t>(x);
+        values[i] = s.value;
+        band.depth[i] = s.depth;
+        band.radius[i] = s.radius;
+        band.albedo[i] = s.albedo;
+      }
+  });
+  for (const RenderStats& s : row_stats) {
+    stats.pixels_hit += s.pixels_hit;
+    stats.pixels_without_albedo += s.pixels_without_albedo;
+  }
+  DetailView view{shader.view.lens, shader.view.pose, {}};
+  if (shader.options.mode != RenderMode::kAlbedo) view.flash_in_world = view.pose.world_from_camera(shader.view.flash_in_camera);
+  const std::vector<Vec3f> factors = sharpening(view, band, shader.options.sharpen_by);
+  std::vector<float> interleaved(3 * n);
+  for (std::size_t i = 0; i < n; ++i) {
+    stats.pixels_sharpened += factors[i] != Vec3f::Ones();
+    for (std::size_t c = 0; c < 3; ++c) interleaved[3 * i + c] = values[i][static_cast<Eigen::Index>(c)] * factors[i][static_cast<Eigen::Index>(c)];
+  }
+  return interleaved;
+}
+
 }  // namespace
 
-RenderStats render(const stream::Store& store, const stream::Layer& layer, const Scene& scene, const std::vector<float>& proxy_albedo, const Lights& acquisition_lights,
-                   const RenderView& view, const RenderOptions& options, const std::filesystem::path& picture, MemoryBudget& budget, Reporter& report) {
-  Lights lights = acquisition_lights;
+RenderStats render(const stream::Store& store, const stream::Layer& layer, const RenderLights* solved, const RenderView& view, const RenderOptions& options,
+                   const std::filesystem::path& picture, MemoryBudget& budget, Reporter& report) {
+  if (!solved && options.mode != RenderMode::kAlbedo) throw std::invalid_argument("render: no lights");
+  Lights lights = solved ? solved->lights : Lights{};
   lights.flash_intensity = view.flash_intensity;
   for (double& s : lights.sky) s *= view.ambient_scale;
   const Vec3d flash_in_world = view.pose.world_from_camera(view.flash_in_camera);
   OtherLight other;
-  if (options.mode == RenderMode::kFull) other = other_light(store, scene, proxy_albedo, lights, flash_in_world, options.scatterings, budget);
+  if (options.mode == RenderMode::kFull) other = other_light(store, solved->scene, solved->proxy_albedo, lights, flash_in_world, options.scatterings, budget);
   const RenderSet set = load_set(store, layer, view, budget, report);
-  const Shader shader{set, scene, proxy_albedo, other, lights, view, options, set.tracer.scene_from_world(view.pose.centre_in_world()),
-                      set.tracer.scene_from_world(flash_in_world), (set.tracer.origin_in_world() - scene.proxy.origin_in_world).cast<float>(),
-                      view.pose.rotation_camera_from_world.transpose().cast<float>()};
+  const Vec3f proxy_from_tracer = solved ? Vec3f((set.tracer.origin_in_world() - solved->scene.proxy.origin_in_world).cast<float>()) : Vec3f::Zero();
+  const Shader shader{set, solved, other, lights, view, options, set.tracer.scene_from_world(view.pose.centre_in_world()), set.tracer.scene_from_world(flash_in_world),
+                      proxy_from_tracer, view.pose.rotation_camera_from_world.transpose().cast<float>()};
   const int width = view.lens.width_px, height = view.lens.height_px;
   stream::ExrWriter out(picture, width, height, {"R", "G", "B"}, true);
   RenderStats stats;
@@ -167,19 +221,7 @@ RenderStats render(const stream::Store& store, const stream::Layer& layer, const
   for (int y0 = 0; y0 < height; y0 += kBandRows) {
     report.check();
     const int rows = std::min(kBandRows, height - y0);
-    std::vector<float> values(3 * static_cast<std::size_t>(rows) * static_cast<std::size_t>(width));
-    std::vector<RenderStats> row_stats(static_cast<std::size_t>(rows));
-    parallel_blocks(static_cast<std::size_t>(rows), 1, [&](std::size_t b, std::size_t e) {
-      for (std::size_t row = b; row < e; ++row)
-        for (int x = 0; x < width; ++x) {
-          const Vec3f v = shader.shade(x, y0 + static_cast<int>(row), row_stats[row]);
-          for (int c = 0; c < 3; ++c) values[3 * (row * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)) + static_cast<std::size_t>(c)] = v[c];
-        }
-    });
-    for (const RenderStats& s : row_stats) {
-      stats.pixels_hit += s.pixels_hit;
-      stats.pixels_without_albedo += s.pixels_without_albedo;
-    }
+    const std::vector<float> values = render_rows(shader, y0, rows, stats);
     out.write_rows(rows, values);
     report.progress(static_cast<std::uint64_t>(y0 + rows));
   }

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "optimize/acquisition.h"
+#include "optimize/view_detail.h"
 #include "stream/store/layer.h"
 
 namespace chiaro::optimize {
@@ -27,15 +28,23 @@ struct RenderOptions {
   RenderMode mode = RenderMode::kFull;
   int subpixels = 4;
   int scatterings = 12;   ///< surface scatterings of the bounced light
+  std::span<const DetailPhotograph> sharpen_by;   ///< none: the albedo of the points alone
 };
 
 struct RenderStats {
-  std::uint64_t pixels = 0, pixels_hit = 0, pixels_without_albedo = 0;
+  std::uint64_t pixels = 0, pixels_hit = 0, pixels_without_albedo = 0, pixels_sharpened = 0;
+};
+
+/// The lights that an acquisition's photographs were taken in.
+struct RenderLights {
+  Scene scene;
+  std::vector<float> proxy_albedo;   ///< 3 a proxy surfel
+  Lights lights;
 };
 
 /// Writes `picture` (EXR, half RGB, linear radiance; 0 where nothing is hit). Surfels that no photograph saw take the albedo of the proxy's nearest seen
-/// surfel. scene and proxy_albedo: of the acquisition whose lights these are. throws Error, Cancelled.
-RenderStats render(const stream::Store& store, const stream::Layer& layer, const Scene& scene, const std::vector<float>& proxy_albedo, const Lights& lights,
-                   const RenderView& view, const RenderOptions& options, const std::filesystem::path& picture, MemoryBudget& budget, Reporter& report);
+/// surfel, without lights 0. lights: may be null for kAlbedo only. throws Error, Cancelled.
+RenderStats render(const stream::Store& store, const stream::Layer& layer, const RenderLights* lights, const RenderView& view, const RenderOptions& options,
+                   const std::filesystem::path& picture, MemoryBudget& budget, Reporter& report);
 
 }  // namespace chiaro::optimize

@@ -7,6 +7,7 @@
 #include "stream/base/file.h"
 #include "stream/base/parallel.h"
 #include "tools/args.h"
+#include "tools/camera_record.h"
 #include "tools/commands.h"
 #include "tools/resources.h"
 #include "tools/run_folder.h"
@@ -52,7 +53,28 @@ RunLights read_lights(const RunFolder& folder) {
   } catch (const nlohmann::json::exception& e) {
     throw Error(concat(folder.lights().string(), ": not the lights of a run: ", e.what()));
   }
-  throw Error(concat(folder.root.string(), ": the run solved no lights (solve.method = \"none\"); only --albedo can be rendered"));
+  return {};
+}
+
+/// Null if the run solved no lights.
+std::unique_ptr<optimize::RenderLights> load_lights(const RunFolder& folder, const stream::Store& store, const RunLights& lights) {
+  if (lights.acquisition.empty()) return nullptr;
+  const std::filesystem::path at = folder.acquisition(lights.acquisition);
+  auto loaded = std::make_unique<optimize::RenderLights>(optimize::load_scene(store, at), std::vector<float>(), lights.lights);
+  loaded->proxy_albedo = optimize::read_floats(optimize::proxy_albedo_path(at), 3 * loaded->scene.proxy.size());
+  return loaded;
+}
+
+/// The photographs that sharpen what lies between the points.
+std::vector<optimize::DetailPhotograph> load_photographs(const RunFolder& folder) {
+  std::vector<optimize::DetailPhotograph> photographs;
+  for (PhotographCamera& c : read_camera_record(folder.cameras())) {
+    const std::string key = c.camera.photograph;
+    std::optional<Vec3d> flash;
+    if (c.flash_in_camera) flash = c.camera.pose.world_from_camera(*c.flash_in_camera);
+    photographs.push_back({std::move(c.camera), folder.gbuffer(key), folder.albedo(key), flash});
+  }
+  return photographs;
 }
 
 }  // namespace
@@ -60,7 +82,7 @@ RunLights read_lights(const RunFolder& folder) {
 int run_render(std::span<const std::string> words, Console& console) {
   Args args("render", "Predicts photographs from a finished run: for each view an EXR of linear radiance with all light terms.");
   std::string dir, views_file, out;
-  bool only_albedo = false, only_direct = false;
+  bool only_albedo = false, only_direct = false, only_points = false;
   std::uint64_t memory = std::uint64_t{2} << 30;
   int threads = 0;
   args.positional("DIR", dir, "folder of a finished run");
@@ -68,6 +90,7 @@ int run_render(std::span<const std::string> words, Console& console) {
   args.option("-o,--out", out, "folder for the pictures, NAME.exr each", "DIR");
   args.flag("--albedo", only_albedo, "the albedo itself, without light");
   args.flag("--direct", only_direct, "flash only: no ambient light, no bounces");
+  args.flag("--points", only_points, "the albedo of the points alone: not sharpened by the photographs, which show what lies between them");
   args.require("--views");
   args.require("--out");
   args.resources(memory, threads);
@@ -83,16 +106,20 @@ int run_render(std::span<const std::string> words, Console& console) {
   const stream::Layer layer(store, "albedo");
   optimize::RenderOptions options;
   options.mode = only_albedo ? optimize::RenderMode::kAlbedo : only_direct ? optimize::RenderMode::kDirect : optimize::RenderMode::kFull;
-  const RunLights lights = read_lights(folder);
-  const optimize::Scene scene = optimize::load_scene(store, folder.acquisition(lights.acquisition));
-  const std::vector<float> proxy_albedo = optimize::read_floats(optimize::proxy_albedo_path(folder.acquisition(lights.acquisition)), 3 * scene.proxy.size());
+  const RunLights run_lights = read_lights(folder);
+  const std::unique_ptr<optimize::RenderLights> lights = load_lights(folder, store, run_lights);
+  if (!lights && !only_albedo) throw Error(concat(dir, ": the run solved no lights (solve.method = \"none\"); only --albedo can be rendered"));
+  std::vector<optimize::DetailPhotograph> photographs;
+  if (!only_points) photographs = load_photographs(folder);
+  options.sharpen_by = photographs;
   make_folder(out);
   Json results = Json::array();
   for (const ViewInput& v : views) {
-    optimize::RenderView view{v.name, v.lens, v.pose, v.flash_offset_in_camera.value_or(lights.flash_in_camera), v.flash_intensity.value_or(lights.lights.flash_intensity), v.ambient_scale};
+    optimize::RenderView view{v.name, v.lens, v.pose, v.flash_offset_in_camera.value_or(run_lights.flash_in_camera), v.flash_intensity.value_or(run_lights.lights.flash_intensity), v.ambient_scale};
     const std::filesystem::path picture = std::filesystem::path(out) / (v.name + ".exr");
-    const optimize::RenderStats s = optimize::render(store, layer, scene, proxy_albedo, lights.lights, view, options, picture, budget, console.report());
-    results.push_back({{"view", v.name}, {"file", picture.string()}, {"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_without_albedo", s.pixels_without_albedo}});
+    const optimize::RenderStats s = optimize::render(store, layer, lights.get(), view, options, picture, budget, console.report());
+    results.push_back({{"view", v.name}, {"file", picture.string()}, {"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_without_albedo", s.pixels_without_albedo},
+                       {"pixels_sharpened", s.pixels_sharpened}});
     if (!console.json) {
       console.clear_line();
       console.out() << picture.string() << "\n";

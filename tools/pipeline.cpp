@@ -23,6 +23,7 @@
 #include "stream/store/octree_build.h"
 #include "surfels/gbuffer.h"
 #include "tools/blend_record.h"
+#include "tools/camera_record.h"
 #include "tools/export_points.h"
 #include "tools/ingest.h"
 #include "tools/light_spread_json.h"
@@ -138,6 +139,7 @@ class Pipeline {
         if (shoot.has_flash()) solve_albedo(store, shoot);
     }
     write_lights();
+    record_cameras();
     blend(store);
     residuals(store);
     for (const ExportInput& e : project_.exports) export_layer(store, e);
@@ -490,6 +492,18 @@ class Pipeline {
         return Json::object();
       });
     }
+  }
+
+  /// Of the photographs that have an albedo of their own.
+  void record_cameras() const {
+    std::vector<PhotographCamera> cameras;
+    for (const Shoot& shoot : shoots_)
+      for (const Photo& p : shoot.photos)
+        if (!p.albedo_key.empty()) {
+          cameras.push_back({shoot.acquisition->name, p.camera, {}});
+          if (shoot.has_flash()) cameras.back().flash_in_camera = shoot.acquisition->flash->offset_in_camera;
+        }
+    write_camera_record(folder_.cameras(), cameras);
   }
 
   void write_lights() {

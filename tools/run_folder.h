@@ -18,6 +18,8 @@ struct RunFolder {
   std::filesystem::path tasks() const { return work() / "tasks"; }
   /// Effective project as JSON, written first: what report, render and status read.
   std::filesystem::path project() const { return work() / "project.json"; }
+  /// Of the photographs that were used; see camera_record.h.
+  std::filesystem::path cameras() const { return work() / "cameras.json"; }
   std::filesystem::path photograph(const std::string& key) const { return work() / "photographs" / key; }
   std::filesystem::path radiance(const std::string& key) const { return photograph(key) / "radiance.raster"; }
   std::filesystem::path gbuffer(const std::string& key) const { return photograph(key) / "gbuffer.raster"; }

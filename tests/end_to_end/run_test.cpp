@@ -219,6 +219,21 @@ TEST_F(Run, PredictsAPhotographFromElsewhere) {
   EXPECT_LE(error / size, 0.03);   // its outline included
 }
 
+TEST_F(Run, RendersTheColourOfARunThatSolvedNoLights) {
+  const TinyScene s = scene({.photographs = 1});
+  ASSERT_EQ(run("out", {"--set", "solve.method=none"}).code, 0);
+  const std::vector<std::string> words{"render", at("out").string(), "--views", (s.folder / "novel/views.toml").string(), "--out", at("novel").string()};
+  const ProcessResult lit = chiaro(words);
+  EXPECT_EQ(lit.code, 1);
+  EXPECT_THAT(lit.err, HasSubstr("--albedo"));
+  std::vector<std::string> albedo = words;
+  albedo.emplace_back("--albedo");
+  const ProcessResult ran = chiaro(albedo);
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  const stream::Image picture = stream::read_image(at("novel/novel_00.exr"));
+  EXPECT_GT(*std::max_element(picture.values.begin(), picture.values.end()), 0.05f);
+}
+
 TEST_F(Run, PutsItsResultsBesideTheProjectByDefault) {
   const TinyScene s = scene({.photographs = 1});
   const ProcessResult ran = chiaro({"run", s.project.string()});

@@ -1,0 +1,197 @@
+#include "optimize/view_detail.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "stream/base/error.h"
+#include "stream/base/parallel.h"
+
+namespace chiaro::optimize {
+namespace {
+
+constexpr int kPhotoRows = 64;
+constexpr int kMostSamples = 4;            ///< a side, where the view is coarser than the photograph
+constexpr float kDepthFootprints = 3;      ///< how far depths may lie apart
+constexpr float kFullWeightFromEdge = 8;   ///< pixels
+constexpr float kLeastEdge = 1;            ///< pixels
+constexpr float kSigmaFloor = 0.1f;
+constexpr float kAgreement = 0.4f;         ///< log albedo
+constexpr float kFlashApart = 0.09f;       ///< rad: flashes further apart shade relief unlike
+constexpr float kLeastAlbedo = 1e-3f;
+constexpr float kPointsShare = 0.1f, kPointsSigma = 0.05f;   ///< the points take part like one more photograph, so that there is no seam where photographs end
+
+/// Rows [y0, y0 + rows) of a photograph.
+struct PhotoRows {
+  int y0, rows, width;
+  std::vector<float> r, g, b, sigma, depth, footprint, cosv, edge;
+
+  PhotoRows(const stream::RasterReader& albedo, const stream::RasterReader& gbuffer, int first, int count) : y0(first), rows(count), width(albedo.width()) {
+    r = albedo.rows<float>("r", y0, rows);
+    g = albedo.rows<float>("g", y0, rows);
+    b = albedo.rows<float>("b", y0, rows);
+    sigma = albedo.rows<float>("sigma", y0, rows);
+    depth = gbuffer.rows<float>("depth", y0, rows);
+    footprint = gbuffer.rows<float>("footprint", y0, rows);
+    cosv = gbuffer.rows<float>("cosv", y0, rows);
+    edge = gbuffer.rows<float>("edge", y0, rows);
+  }
+};
+
+/// Where a pixel of the view lies in a photograph.
+struct Place {
+  float u = 0, v = 0, distance = -1;   ///< pixels, middles at integers; distance from the photograph's camera; < 0: nowhere
+  float likeness = 1;                  ///< of the light that falls there in the view and in the photograph
+};
+
+/// Weighted sums over the photographs.
+struct Sum {
+  Vec3f albedo = Vec3f::Zero();
+  float weight = 0;
+  float strength = 0;   ///< weight but for the likeness of the light: beside the points
+};
+
+float bilinear(const std::vector<float>& plane, std::size_t i, std::size_t width, float s, float t) {
+  return (plane[i] * (1 - s) + plane[i + 1] * s) * (1 - t) + (plane[i + width] * (1 - s) + plane[i + width + 1] * s) * t;
+}
+
+/// Adds what the photograph shows at `at`, if it shows that surface.
+void add_sample(const PhotoRows& photo, const Place& at, float radius, Sum& sum) {
+  const auto x = static_cast<int>(at.u), y = static_cast<int>(at.v);
+  const auto width = static_cast<std::size_t>(photo.width), i = static_cast<std::size_t>(y - photo.y0) * width + static_cast<std::size_t>(x);
+  const float s = at.u - static_cast<float>(x), t = at.v - static_cast<float>(y);
+  const float footprint = photo.footprint[i], edge = std::min({photo.edge[i], photo.edge[i + 1], photo.edge[i + width], photo.edge[i + width + 1]});
+  if (!(footprint > 0) || footprint > radius || edge < kLeastEdge) return;
+  if (std::fabs(bilinear(photo.depth, i, width, s, t) - at.distance) > kDepthFootprints * footprint) return;
+  const Vec3f albedo(bilinear(photo.r, i, width, s, t), bilinear(photo.g, i, width, s, t), bilinear(photo.b, i, width, s, t));
+  const float sigma = bilinear(photo.sigma, i, width, s, t);
+  if (!(albedo.sum() >= 0) || !(sigma >= 0)) return;   // NaN: no value at one of the four
+  const float resolution = photo.cosv[i] / footprint;
+  const float strength = resolution * resolution * std::min(1.0f, edge / kFullWeightFromEdge) / (sigma * sigma + kSigmaFloor * kSigmaFloor);
+  sum.albedo += albedo * strength;
+  sum.strength += strength;
+}
+
+/// One photograph against some rows of a view.
+class Lookup {
+ public:
+  Lookup(const DetailView& view, const ViewRows& rows, const DetailPhotograph& photograph)
+      : view_(view), rows_(rows), photograph_(photograph), camera_(photograph.camera), centre_(camera_.pose.centre_in_world()) {}
+
+  /// Where the pixel (x + dx, row + dy) of the view lies.
+  Place place(int x, int row, double dx, double dy) const {
+    const float depth = rows_.depth[at(x, row)];
+    if (!(depth > 0)) return {};
+    const auto d = stream::unproject(view_.lens, {x + dx, rows_.y0 + row + dy});
+    if (!d) return {};
+    const Vec3d p = view_.pose.world_from_camera(*d * static_cast<double>(depth));
+    const auto pixel = stream::project(camera_.lens, camera_.pose.camera_from_world(p));
+    if (!pixel) return {};
+    const double u = pixel->x() - 0.5, v = pixel->y() - 0.5;
+    if (!(u >= 0 && v >= 0 && u < camera_.lens.width_px - 1 && v < camera_.lens.height_px - 1)) return {};
+    return {static_cast<float>(u), static_cast<float>(v), static_cast<float>((p - centre_).norm()), likeness(p)};
+  }
+
+  float likeness(const Vec3d& p) const {
+    if (!view_.flash_in_world || !photograph_.flash_in_world) return 1;
+    const Vec3d a = (*view_.flash_in_world - p).normalized(), b = (*photograph_.flash_in_world - p).normalized();
+    const float apart = static_cast<float>((a - b).norm()) / kFlashApart;
+    return 1 / (1 + apart * apart);
+  }
+
+  /// False where none of some of the pixels falls into the photograph: most photographs of an acquisition see nothing of a few rows.
+  bool may_see() const {
+    constexpr int kStep = 8;
+    for (int row = 0; row < rows_.rows; row += kStep)
+      for (int x = 0; x < rows_.width; x += kStep)
+        if (place(x, row, 0.5, 0.5).distance >= 0) return true;
+    return false;
+  }
+
+  void add(const stream::RasterReader& albedo, const stream::RasterReader& gbuffer, std::vector<Sum>& sums) const {
+    std::vector<Place> places(rows_.depth.size());
+    std::vector<std::uint8_t> touched(static_cast<std::size_t>(camera_.lens.height_px / kPhotoRows) + 1, 0);
+    parallel_blocks(static_cast<std::size_t>(rows_.rows), 4, [&](std::size_t b, std::size_t e) {
+      for (std::size_t row = b; row < e; ++row)
+        for (int x = 0; x < rows_.width; ++x) places[at(x, static_cast<int>(row))] = place(x, static_cast<int>(row), 0.5, 0.5);
+    });
+    for (const Place& p : places)
+      if (p.distance >= 0) touched[static_cast<std::size_t>(p.v) / kPhotoRows] = 1;
+    for (std::size_t band = 0; band < touched.size(); ++band)
+      if (touched[band]) add_band(albedo, gbuffer, static_cast<int>(band), places, sums);
+  }
+
+ private:
+  std::size_t at(int x, int row) const { return static_cast<std::size_t>(row) * static_cast<std::size_t>(rows_.width) + static_cast<std::size_t>(x); }
+
+  /// The pixels of the view whose middle falls into a band of the photograph; their samples may reach a few rows further.
+  void add_band(const stream::RasterReader& albedo, const stream::RasterReader& gbuffer, int band, const std::vector<Place>& places, std::vector<Sum>& sums) const {
+    constexpr int kHalo = 16;
+    const int first = std::max(0, band * kPhotoRows - kHalo), last = std::min(camera_.lens.height_px, (band + 1) * kPhotoRows + kHalo);
+    const PhotoRows photo(albedo, gbuffer, first, last - first);
+    parallel_blocks(static_cast<std::size_t>(rows_.rows), 4, [&](std::size_t b, std::size_t e) {
+      for (std::size_t row = b; row < e; ++row)
+        for (int x = 0; x < rows_.width; ++x) {
+          const std::size_t i = at(x, static_cast<int>(row));
+          if (places[i].distance >= 0 && static_cast<int>(places[i].v) / kPhotoRows == band) add_pixel(photo, x, static_cast<int>(row), places[i], sums[i]);
+        }
+    });
+  }
+
+  void add_pixel(const PhotoRows& photo, int x, int row, const Place& middle, Sum& sum) const {
+    const std::size_t i = at(x, row);
+    const Place beside = place(x, row, 1.5, 0.5), below = place(x, row, 0.5, 1.5);
+    const float apart = std::max(beside.distance < 0 ? 0.0f : std::hypot(beside.u - middle.u, beside.v - middle.v),
+                                 below.distance < 0 ? 0.0f : std::hypot(below.u - middle.u, below.v - middle.v));
+    const int n = std::clamp(static_cast<int>(std::ceil(apart - 0.25f)), 1, kMostSamples);
+    Sum own;
+    for (int j = 0; j < n; ++j)
+      for (int k = 0; k < n; ++k) {
+        const Place p = n == 1 ? middle : place(x, row, (k + 0.5) / n, (j + 0.5) / n);
+        if (p.distance < 0 || static_cast<int>(p.v) < photo.y0 || static_cast<int>(p.v) + 1 >= photo.y0 + photo.rows) continue;
+        add_sample(photo, p, rows_.radius[i], own);
+      }
+    const Vec3f albedo = own.albedo / own.strength;
+    if (!(albedo.mean() > kLeastAlbedo)) return;
+    const float off = std::log(albedo.mean() / rows_.albedo[i].mean()) / kAgreement, doubt = 1 + off * off;
+    const float strength = own.strength / (static_cast<float>(n * n) * doubt * doubt);
+    sum.albedo += albedo * (middle.likeness * strength);
+    sum.weight += middle.likeness * strength;
+    sum.strength += strength;
+  }
+
+  const DetailView& view_;
+  const ViewRows& rows_;
+  const DetailPhotograph& photograph_;
+  const stream::Camera& camera_;
+  const Vec3d centre_;
+};
+
+void require_size(const std::filesystem::path& path, const stream::RasterReader& raster, const stream::Lens& lens) {
+  if (raster.width() != lens.width_px || raster.height() != lens.height_px)
+    throw Error(concat(path.string(), ": expected ", lens.width_px, " x ", lens.height_px, " pixels, found ", raster.width(), " x ", raster.height()));
+}
+
+}  // namespace
+
+std::vector<Vec3f> sharpening(const DetailView& view, const ViewRows& rows, std::span<const DetailPhotograph> photographs) {
+  std::vector<Sum> sums(rows.depth.size());
+  for (const DetailPhotograph& photograph : photographs) {
+    const Lookup lookup(view, rows, photograph);
+    if (!lookup.may_see()) continue;
+    const stream::RasterReader albedo(photograph.albedo), gbuffer(photograph.gbuffer);
+    require_size(photograph.albedo, albedo, photograph.camera.lens);
+    require_size(photograph.gbuffer, gbuffer, photograph.camera.lens);
+    lookup.add(albedo, gbuffer, sums);
+  }
+  std::vector<Vec3f> factors(sums.size(), Vec3f::Ones());
+  for (std::size_t i = 0; i < sums.size(); ++i) {
+    if (!(sums[i].weight > 0) || !(rows.albedo[i].minCoeff() > kLeastAlbedo)) continue;
+    const float of_points = kPointsShare / (rows.radius[i] * rows.radius[i] * (kPointsSigma * kPointsSigma + kSigmaFloor * kSigmaFloor));
+    const float share = sums[i].strength / (sums[i].strength + of_points);
+    const Vec3f albedo = share / sums[i].weight * sums[i].albedo + (1 - share) * rows.albedo[i];
+    factors[i] = albedo.cwiseMax(0.0f).cwiseQuotient(rows.albedo[i]);
+  }
+  return factors;
+}
+
+}  // namespace chiaro::optimize

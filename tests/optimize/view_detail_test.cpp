@@ -1,0 +1,130 @@
+#include "optimize/view_detail.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <filesystem>
+#include <functional>
+
+#include "stream/base/error.h"
+
+namespace chiaro::optimize {
+namespace {
+
+constexpr int kSize = 200;
+constexpr float kDepth = 2, kFocal = 400, kRadius = 0.02f;   // a pixel of a photograph is 5 mm wide on the plane z = 2, a disc 2 cm
+
+stream::Lens lens_of(int size) {
+  stream::Lens l;
+  l.width_px = l.height_px = size;
+  l.fx = l.fy = kFocal * static_cast<float>(size) / kSize;
+  l.cx = l.cy = size / 2.0;
+  return l;
+}
+
+/// Distance from the origin of the point of the plane that a pixel's middle shows.
+float distance_at(int x, int y) {
+  return kDepth * std::sqrt(1 + static_cast<float>(std::pow((x + 0.5 - kSize / 2.0) / kFocal, 2) + std::pow((y + 0.5 - kSize / 2.0) / kFocal, 2)));
+}
+
+class Sharpening : public testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = std::filesystem::path(testing::TempDir()) / ("chiaro_sharpening_" + std::string(testing::UnitTest::GetInstance()->current_test_info()->name()));
+    std::filesystem::create_directories(folder_);
+  }
+  void TearDown() override { std::filesystem::remove_all(folder_); }
+
+  /// A photograph of the plane from the origin that shows `albedo(x, y)`; its depth is off by `off`.
+  DetailPhotograph photograph(const std::string& name, const std::function<float(int, int)>& albedo, float off = 0, int size = kSize) const {
+    DetailPhotograph p;
+    p.camera.photograph = name;
+    p.camera.lens = lens_of(kSize);
+    p.albedo = folder_ / (name + "_albedo.raster");
+    p.gbuffer = folder_ / (name + "_gbuffer.raster");
+    write(p.albedo, {"r", "g", "b", "sigma"}, size, [&](const std::string& plane, int x, int y) { return plane == "sigma" ? 0.02f : albedo(x, y); });
+    write(p.gbuffer, {"depth", "footprint", "cosv", "edge"}, size, [&](const std::string& plane, int x, int y) {
+      return plane == "depth" ? distance_at(x, y) + off : plane == "footprint" ? kDepth / kFocal : plane == "cosv" ? 1.0f : 20.0f;
+    });
+    return p;
+  }
+
+  static void write(const std::filesystem::path& path, const std::vector<std::string>& planes, int size, const std::function<float(const std::string&, int, int)>& value) {
+    std::vector<stream::PlaneInfo> infos;
+    for (const std::string& name : planes) infos.push_back({name, stream::PlaneType::kF32});
+    stream::RasterWriter out(path, size, size, infos);
+    for (const std::string& name : planes) {
+      std::vector<float> values;
+      for (int y = 0; y < size; ++y)
+        for (int x = 0; x < size; ++x) values.push_back(value(name, x, y));
+      out.write_rows<float>(name, 0, values);
+    }
+    out.commit();
+  }
+
+  /// Rows of the view from the same place, where the points all show an albedo of 0.4.
+  static ViewRows rows_of(int y0, int rows) {
+    ViewRows v{y0, rows, kSize, {}, {}, {}};
+    for (int y = y0; y < y0 + rows; ++y)
+      for (int x = 0; x < kSize; ++x) v.depth.push_back(distance_at(x, y));
+    v.radius.assign(v.depth.size(), kRadius);
+    v.albedo.assign(v.depth.size(), Vec3f::Constant(0.4f));
+    return v;
+  }
+
+  std::filesystem::path folder_;
+};
+
+float stripes(int x, int) { return x / 4 % 2 == 0 ? 0.3f : 0.5f; }   // finer than the discs
+
+TEST_F(Sharpening, ShowsWhatLiesBetweenThePoints) {
+  const std::vector<DetailPhotograph> photographs{photograph("a", stripes)};
+  const std::vector<Vec3f> factors = sharpening({lens_of(kSize), {}, {}}, rows_of(60, 70), photographs);
+  for (int y = 0; y < 70; ++y)
+    for (int x = 2; x < kSize - 2; ++x) {
+      const Vec3f& f = factors[static_cast<std::size_t>(y * kSize + x)];
+      ASSERT_NEAR(0.4f * f.x(), stripes(x, y), 0.005) << x << " " << y;
+    }
+}
+
+TEST_F(Sharpening, AViewCoarserThanThePhotographSeesTheMeanOfIts) {
+  const std::vector<DetailPhotograph> photographs{photograph("a", [](int x, int y) { return (x + y) % 2 == 0 ? 0.2f : 0.6f; })};
+  ViewRows rows{20, 8, kSize / 4, std::vector<float>(8 * kSize / 4, 0.0f), std::vector<float>(8 * kSize / 4, 0.05f), std::vector<Vec3f>(8 * kSize / 4, Vec3f::Constant(0.4f))};
+  for (int y = 0; y < 8; ++y)
+    for (int x = 0; x < kSize / 4; ++x) rows.depth[static_cast<std::size_t>(y * kSize / 4 + x)] = distance_at(4 * x + 1, 4 * (20 + y) + 1);
+  const std::vector<Vec3f> factors = sharpening({lens_of(kSize / 4), {}, {}}, rows, photographs);
+  for (int x = 2; x < kSize / 4 - 2; ++x) EXPECT_NEAR(0.4f * factors[static_cast<std::size_t>(3 * kSize / 4 + x)].x(), 0.4f, 0.02f) << x;
+}
+
+TEST_F(Sharpening, LeavesAloneWhatNoPhotographShows) {
+  const std::vector<DetailPhotograph> photographs{photograph("elsewhere", stripes, 0.1f)};
+  ViewRows rows = rows_of(90, 10);
+  for (const Vec3f& f : sharpening({lens_of(kSize), {}, {}}, rows, photographs)) ASSERT_EQ(f, Vec3f::Ones());
+  const std::vector<DetailPhotograph> here{photograph("here", stripes)};
+  rows.depth[5 * kSize + 100] = 0;   // an edge of the view
+  EXPECT_EQ(sharpening({lens_of(kSize), {}, {}}, rows, here)[5 * kSize + 100], Vec3f::Ones());
+  EXPECT_NE(sharpening({lens_of(kSize), {}, {}}, rows, here)[5 * kSize + 101], Vec3f::Ones());
+}
+
+TEST_F(Sharpening, PrefersThePhotographLitFromTheSideOfTheView) {
+  std::vector<DetailPhotograph> photographs{photograph("left", [](int, int) { return 0.35f; }), photograph("right", [](int, int) { return 0.45f; })};
+  photographs[0].flash_in_world = Vec3d(-1, 0, 0);
+  photographs[1].flash_in_world = Vec3d(1, 0, 0);
+  const auto middle = [&](std::optional<Vec3d> flash) { return 0.4f * sharpening({lens_of(kSize), {}, flash}, rows_of(95, 10), photographs)[5 * kSize + 100].x(); };
+  EXPECT_NEAR(middle(Vec3d(-1, 0, 0)), 0.35f, 0.005f);
+  EXPECT_NEAR(middle(Vec3d(1, 0, 0)), 0.45f, 0.005f);
+  EXPECT_NEAR(middle({}), 0.4f, 0.005f);
+}
+
+TEST_F(Sharpening, WhatDisagreesWithTheBlendedPointsCountsLittle) {
+  const std::vector<DetailPhotograph> photographs{photograph("a", [](int, int) { return 0.4f; }), photograph("highlight", [](int, int) { return 1.6f; })};
+  EXPECT_NEAR(0.4f * sharpening({lens_of(kSize), {}, {}}, rows_of(95, 10), photographs)[5 * kSize + 100].x(), 0.4f, 0.02f);
+}
+
+TEST_F(Sharpening, RefusesRastersOfAnotherSize) {
+  const std::vector<DetailPhotograph> photographs{photograph("a", stripes, 0, kSize / 2)};
+  EXPECT_THROW(sharpening({lens_of(kSize), {}, {}}, rows_of(60, 70), photographs), Error);
+}
+
+}  // namespace
+}  // namespace chiaro::optimize

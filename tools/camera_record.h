@@ -1,0 +1,23 @@
+/// The cameras of a run's photographs as they were used: lens of the photograph's own size, pose. Written by run, read by render.
+#pragma once
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "stream/photo/camera.h"
+
+namespace chiaro::tools {
+
+struct PhotographCamera {
+  std::string acquisition;
+  stream::Camera camera;                  ///< camera.photograph: the photograph's key
+  std::optional<Vec3d> flash_in_camera;   ///< project units
+};
+
+/// Atomic.
+void write_camera_record(const std::filesystem::path& file, const std::vector<PhotographCamera>& cameras);
+/// throws Error with the file and the photograph where it is damaged.
+std::vector<PhotographCamera> read_camera_record(const std::filesystem::path& file);
+
+}  // namespace chiaro::tools
