@@ -15,6 +15,7 @@ IngestPlan plan_ingest(const Project& project) {
     case Normals::kAuto: plan.options.normals = stream::NormalSource::kAuto; break;
     case Normals::kFile: plan.options.normals = stream::NormalSource::kFile; break;
     case Normals::kEstimate: plan.options.normals = stream::NormalSource::kEstimate; break;
+    case Normals::kNone: plan.options.normals = stream::NormalSource::kNone; break;
   }
   plan.remove_outliers = project.cloud.outliers == Outliers::kStatistical;
   plan.align = project.cloud.align == Alignment::kIcp;

@@ -38,7 +38,7 @@ using Json = nlohmann::ordered_json;
 using optimize::Method;
 
 /// Part of every key: raise it when a stage's result changes for the same inputs.
-constexpr std::uint64_t kPipelineVersion = 2;
+constexpr std::uint64_t kPipelineVersion = 3;
 
 struct Photo {
   const PhotographInput* input = nullptr;

@@ -108,7 +108,7 @@ std::uint64_t as_bytes(const toml::node& node, const std::string& key) {
 
 template <class E>
 using Words = std::vector<std::pair<const char*, E>>;
-const Words<Normals>& words_of(Normals) { static const Words<Normals> w{{"auto", Normals::kAuto}, {"file", Normals::kFile}, {"estimate", Normals::kEstimate}}; return w; }
+const Words<Normals>& words_of(Normals) { static const Words<Normals> w{{"auto", Normals::kAuto}, {"file", Normals::kFile}, {"estimate", Normals::kEstimate}, {"none", Normals::kNone}}; return w; }
 const Words<Outliers>& words_of(Outliers) { static const Words<Outliers> w{{"none", Outliers::kNone}, {"statistical", Outliers::kStatistical}}; return w; }
 const Words<Alignment>& words_of(Alignment) { static const Words<Alignment> w{{"none", Alignment::kNone}, {"icp", Alignment::kIcp}}; return w; }
 const Words<Encoding>& words_of(Encoding) {

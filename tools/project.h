@@ -12,7 +12,7 @@
 
 namespace chiaro::tools {
 
-enum class Normals { kAuto, kFile, kEstimate };
+enum class Normals { kAuto, kFile, kEstimate, kNone };
 enum class Outliers { kNone, kStatistical };
 enum class Alignment { kNone, kIcp };
 /// kAuto: EXR and TIFF are linear, JPEG and PNG are sRGB, camera raw files are raw. Resolved per acquisition when the project is loaded.

@@ -1,11 +1,12 @@
 // What one photograph needs of a large store, and how soon its first pixel is there.
 //
-//   working_set_bench STORE.chiaro [--size 4000x3000] [--field 50] [--distances 0.05,0.2,1,3] [--memory 4GiB] [--cold]
+//   working_set_bench STORE.chiaro [--size 4000x3000] [--field 50] [--distances 0.05,0.2,1,3] [--memory 4GiB] [--cold] [--check 100000]
 //
 // Cameras look at the surface from outside, along the line from the centre of the bounds to its leaf in the middle of the Morton order: once for each distance
 // from the surface, in units of half the diagonal of the bounds; --field is the width of the picture, degrees. A light stands beside the camera as a flash does. Share:
 // of all chunks of the store, with inner ones. First pixel: from opening the store to the answer for the pixel in the middle. --cold: pages of the store are
-// dropped first, without it they are read once before.
+// dropped first, without it they are read once before. --check: that many pixels, and the ways from there to the light, are also traced through everything in view,
+// hidden or not; those that differ are counted.
 #include <fcntl.h>
 
 #include <chrono>
@@ -34,6 +35,7 @@ struct Options {
   std::vector<double> distances{0.05, 0.2, 1, 3};
   std::uint64_t memory = std::uint64_t{4} << 30;
   bool cold = false;
+  int check = 0;   ///< pixels
 };
 
 double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
@@ -65,6 +67,31 @@ void touch(const fs::path& folder, bool drop) {
   }
 }
 
+/// Pixels, of `count` spread over the picture, for which leaving out what is hidden changes the answer.
+int differences(const stream::Store& store, const surfels::View& view, const surfels::Tracer& seen, int count, MemoryBudget& budget) {
+  surfels::CutOptions cut;
+  cut.cull_hidden = false;
+  surfels::Tracer all(view.pose.centre_in_world(), budget);
+  for (const std::uint32_t c : surfels::select_visible(store, view, cut, budget, silent_reporter()).chunks) all.add(store.read_chunk(c));
+  all.commit();
+  const Vec3f flash = all.scene_from_world(view.lights_in_world[0]);
+  int differ = 0;
+  for (int i = 0; i < count; ++i) {
+    const Vec2d at(view.rect.width() * std::fmod(i * 0.7548776662466927, 1.0), view.rect.height() * std::fmod(i * 0.5698402909980532, 1.0));   // R2 sequence
+    const Vec3f d = (view.pose.rotation_camera_from_world.transpose() * *stream::unproject(view.lens, at)).normalized().cast<float>();
+    surfels::Hit a, b;
+    const bool met = all.closest({Vec3f::Zero(), d, 0, 1e30f}, a);
+    bool same = met == seen.closest({Vec3f::Zero(), d, 0, 1e30f}, b) && (!met || a.surfel == b.surfel);
+    if (met && same) {
+      const Vec3f p = d * a.t, to_flash = flash - p;
+      const surfels::Ray back = surfels::escape_ray(p, a.normal, a.radius, to_flash.normalized(), to_flash.norm());
+      same = all.occluded(back) == seen.occluded(back);
+    }
+    differ += !same;
+  }
+  return differ;
+}
+
 void measure(const Options& o, double share) {
   touch(o.store, o.cold);
   MemoryBudget budget(o.memory);
@@ -83,9 +110,12 @@ void measure(const Options& o, double share) {
   surfels::Hit hit;
   const bool met = tracer.closest({Vec3f::Zero(), view.pose.rotation_camera_from_world.row(2).transpose().cast<float>(), 0, 1e30f}, hit);
   const double first = seconds_since(start);
-  std::printf("| %.2f | %zu | %zu | %.2f %% | %.2f M | %llu | %.0f MiB | %.3f s | %.3f s | %.3f s | %s |\n", share, store.chunks().size(), set.chunks.size(),
+  std::printf("| %.2f | %zu | %zu | %.2f %% | %.2f M | %llu | %.0f MiB | %.3f s | %.3f s | %.3f s | %s |", share, store.chunks().size(), set.chunks.size(),
               100 * static_cast<double>(set.chunks.size()) / static_cast<double>(store.chunks().size()), 1e-6 * static_cast<double>(set.surfels),
               static_cast<unsigned long long>(set.chunks_hidden), static_cast<double>(tracer.bytes()) / 1048576, opened, selected - opened, first, met ? "yes" : "no");
+  if (o.check > 0) std::printf(" %d of %d |", differences(store, view, tracer, o.check, budget), o.check);
+  std::printf("\n");
+  std::fflush(stdout);
 }
 
 Options parse(int count, char** words) {
@@ -98,6 +128,7 @@ Options parse(int count, char** words) {
     else if (word == "--size") {
       if (std::sscanf(words[++i], "%dx%d", &o.width, &o.height) != 2 || o.width < 1 || o.height < 1) throw Error("--size is WIDTHxHEIGHT");
     } else if (word == "--field") o.field_deg = std::stod(words[++i]);
+    else if (word == "--check") o.check = std::stoi(words[++i]);
     else if (word == "--memory") o.memory = parse_bytes(words[++i]);
     else if (word == "--distances") {
       o.distances.clear();
@@ -114,8 +145,8 @@ Options parse(int count, char** words) {
 int main(int count, char** words) {
   try {
     const Options options = parse(count, words);
-    std::printf("%s, %d x %d pixels, %s\n| distance | chunks | needed | share | surfels | hidden | resident | open | select | first pixel | hit |\n", options.store.c_str(), options.width, options.height,
-                options.cold ? "cold" : "warm");
+    std::printf("%s, %d x %d pixels, %s\n| distance | chunks | needed | share | surfels | hidden | resident | open | select | first pixel | hit |%s\n", options.store.c_str(), options.width, options.height,
+                options.cold ? "cold" : "warm", options.check > 0 ? " differ |" : "");
     for (const double distance : options.distances) measure(options, distance);
     return 0;
   } catch (const std::exception& e) {

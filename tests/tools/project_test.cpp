@@ -166,6 +166,12 @@ TEST_F(ProjectTest, ReadsEveryKey) {
   EXPECT_EQ(default_output(p), scratch_.path() / "tower.out");
 }
 
+TEST_F(ProjectTest, NormalsMayBeLeftOut) {
+  const Project p = load(changed("normals = \"file\"", "normals = \"none\""));
+  EXPECT_EQ(p.cloud.normals, Normals::kNone);
+  EXPECT_STREQ(name_of(p.cloud.normals), "none");
+}
+
 TEST_F(ProjectTest, HasDefaultsForAllButTheInputs) {
   const Project p = load("[cloud]\nfiles = \"cloud.ply\"\n[[acquisition]]\nphotographs = \"photos/*.exr\"\ncameras = \"sparse\"\n");
   EXPECT_EQ(p.name, "project");

@@ -1,0 +1,132 @@
+#include "surfels/working_set.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "stream/base/file.h"
+#include "stream/base/parallel.h"
+#include "stream/base/rng.h"
+#include "surfels/frustum.h"
+#include "surfels/occlusion.h"
+#include "surfels/tracer.h"
+#include "tests/support/sampled_surface.h"
+
+namespace chiaro::surfels {
+namespace {
+
+constexpr std::uint64_t kRoom = 256u << 20;
+
+/// Looks from `eye` to `target`, a flash beside it.
+View view_to(const Vec3d& eye, const Vec3d& target, int width, int height, double focal) {
+  View v;
+  v.lens.width_px = width;
+  v.lens.height_px = height;
+  v.lens.fx = v.lens.fy = focal;
+  v.lens.cx = width / 2.0;
+  v.lens.cy = height / 2.0;
+  const Vec3d forward = (target - eye).normalized(), right = forward.unitOrthogonal(), down = forward.cross(right);
+  v.pose.rotation_camera_from_world << right.transpose(), down.transpose(), forward.transpose();
+  v.pose.translation_camera_from_world = -v.pose.rotation_camera_from_world * eye;
+  v.rect = {0, 0, width, height};
+  v.lights_in_world.push_back(v.pose.world_from_camera({0.15, -0.1, 0}));
+  return v;
+}
+
+/// A wall at z = 0 with a slit and a window, three walls behind it and a ball between them.
+stream::Store walls(const std::filesystem::path& folder) {
+  std::vector<tests::SampledPoint> points;
+  for (const auto& p : tests::square_points(260, 4.0, {0, 0, 0}, {0, 0, 1}, 1)) {
+    const bool slit = std::fabs(p.position.x() + 0.7) < 0.05, window = std::fabs(p.position.x() - 0.6) < 0.2 && std::fabs(p.position.y()) < 0.2;
+    if (!slit && !window) points.push_back(p);
+  }
+  for (int wall = 1; wall <= 3; ++wall) {
+    const auto more = tests::square_points(200, 6.0, {0, 0, -0.8 * wall}, {0, 0, 1}, static_cast<std::uint64_t>(wall) + 1);
+    points.insert(points.end(), more.begin(), more.end());
+  }
+  const auto ball = tests::sphere_points(20000, 0.25, {0.6, 0, -0.4}, false);
+  points.insert(points.end(), ball.begin(), ball.end());
+  return tests::build_test_store(points, folder, 1024);
+}
+
+Tracer trace(const stream::Store& store, const std::vector<std::uint32_t>& chunks, MemoryBudget& budget, const Vec3d& origin) {
+  Tracer tracer(origin, budget);
+  for (const std::uint32_t c : chunks) tracer.add(store.read_chunk(c));
+  tracer.commit();
+  return tracer;
+}
+
+TEST(WorkingSet, LosesNothingThatAPixelOrTheFlashMeets) {
+  const ScratchFolder folder;
+  const stream::Store store = walls(folder.path());
+  std::uint64_t hidden = 0;
+  for (std::uint64_t seed = 0; seed < 6; ++seed) {
+    const auto u = uniform01x4(7, Purpose::kTest, seed, 0);
+    const View view = view_to({4.0 * u[0] - 2, 3.0 * u[1] - 1.5, 1.5 + u[2]}, {0.8 * u[3] - 0.4, 0, 0}, 400, 300, 500);
+    MemoryBudget budget(kRoom);
+    CutOptions options;
+    const WorkingSet seen = select_visible(store, view, options, budget, silent_reporter());
+    options.cull_hidden = false;
+    const WorkingSet all = select_visible(store, view, options, budget, silent_reporter());
+    ASSERT_TRUE(std::includes(all.chunks.begin(), all.chunks.end(), seen.chunks.begin(), seen.chunks.end()));
+    EXPECT_EQ(seen.chunks.size() + seen.chunks_hidden, all.chunks.size());
+    hidden += seen.chunks_hidden;
+    const Vec3d eye = view.pose.centre_in_world();
+    const Tracer of_seen = trace(store, seen.chunks, budget, eye), of_all = trace(store, all.chunks, budget, eye);
+    const Vec3f flash = of_all.scene_from_world(view.lights_in_world[0]);
+    for (int y = 0; y < 300; y += 2)
+      for (int x = 0; x < 400; x += 2) {
+        const Vec3f d = (view.pose.rotation_camera_from_world.transpose() * *stream::unproject(view.lens, {x + 0.5, y + 0.5})).normalized().cast<float>();
+        Hit a, b;
+        const bool met = of_all.closest({Vec3f::Zero(), d, 0, 1e30f}, a);
+        ASSERT_EQ(met, of_seen.closest({Vec3f::Zero(), d, 0, 1e30f}, b)) << "seed " << seed << ", pixel " << x << ' ' << y;
+        if (!met) continue;
+        ASSERT_EQ(a.surfel, b.surfel) << "seed " << seed << ", pixel " << x << ' ' << y;
+        ASSERT_EQ(a.t, b.t);
+        const Vec3f p = d * a.t, to_flash = flash - p;
+        const Ray back = escape_ray(p, a.normal, a.radius, to_flash.normalized(), to_flash.norm());
+        ASSERT_EQ(of_all.occluded(back), of_seen.occluded(back)) << "seed " << seed << ", pixel " << x << ' ' << y;
+      }
+  }
+  EXPECT_GT(hidden, 300u);   // of some 260 a view
+}
+
+TEST(WorkingSet, IsTheSameForAnyThreadsAndBatches) {
+  const ScratchFolder folder;
+  const stream::Store store = walls(folder.path());
+  const View view = view_to({0.3, 0.2, 2}, {0, 0, 0}, 400, 300, 500);
+  MemoryBudget budget(kRoom);
+  const WorkingSet many = select_visible(store, view, {}, budget, silent_reporter());
+  const ThreadLimit limit(1);
+  EXPECT_EQ(many.chunks, select_visible(store, view, {}, budget, silent_reporter()).chunks);
+  const std::vector<Frustum> frusta{make_frustum(view, 16, view.pose.centre_in_world())};
+  const auto hidden = [&](std::uint64_t batch) {
+    const auto maps = find_occlusion(store, store.leaves(), frusta, {2.0 / 500, batch}, budget, silent_reporter());
+    std::vector<std::uint32_t> found;
+    for (const std::uint32_t c : store.leaves())
+      if (maps[0].hides(store.ray_bounds(c))) found.push_back(c);
+    return found;
+  };
+  const auto whole = hidden(1u << 30);
+  EXPECT_GT(whole.size(), 50u);
+  EXPECT_EQ(hidden(2000), whole);
+}
+
+TEST(WorkingSet, KeepsLittleOfWhatHides) {
+  const ScratchFolder folder;
+  const stream::Store store = walls(folder.path());
+  const View view = view_to({0.3, 0.2, 2}, {0, 0, 0}, 400, 300, 500);
+  const std::vector<Frustum> frusta{make_frustum(view, 16, view.pose.centre_in_world())};
+  MemoryBudget whole(kRoom), parts(kRoom), none(20000);
+  find_occlusion(store, store.leaves(), frusta, {2.0 / 500, 1u << 30}, whole, silent_reporter());
+  find_occlusion(store, store.leaves(), frusta, {2.0 / 500, 8000}, parts, silent_reporter());
+  EXPECT_LT(4 * parts.peak_bytes(), whole.peak_bytes());
+  EXPECT_EQ(parts.used_bytes(), 0u);
+  // Not even one chunk fits: nothing is known to be hidden, and nothing is lost.
+  const auto maps = find_occlusion(store, store.leaves(), frusta, {2.0 / 500, 8000}, none, silent_reporter());
+  for (const std::uint32_t c : store.leaves()) EXPECT_EQ(maps[0].hides(store.ray_bounds(c)), frusta[0].misses(store.ray_bounds(c)));
+}
+
+}  // namespace
+}  // namespace chiaro::surfels
