@@ -1,0 +1,279 @@
+#include "optimize/light_problem.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "optimize/albedo_mean.h"
+#include "optimize/exposure.h"
+#include "optimize/proxy_file.h"
+#include "optimize/radiosity.h"
+#include "stream/base/error.h"
+#include "stream/base/parallel.h"
+
+namespace chiaro::optimize {
+namespace {
+
+constexpr int kFirstSweeps = 14, kLaterSweeps = 4;
+constexpr double kSweepTolerance = 1e-5;
+/// Pairs of one photograph overlap and texture is not noise: a fiftieth of their information counts as independent.
+constexpr double kPairInformation = 0.02;
+constexpr double kGuessSd = 0.35;   // of ln flash, around the guess that the brightest surfels reflect 80 %
+constexpr int kExposureRounds = 4;     ///< each one sees what the lights had taken for their own before
+constexpr int kTrialIterations = 15;   ///< from a settled start: enough to compare models
+constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
+
+LightSolveOptions solve_options(const AcquisitionInput& input, const Lights& start, bool scale_is_given, int sky_terms, bool pairs, double bounce_sd) {
+  LightSolveOptions o;
+  o.bounce_sd = bounce_sd;
+  o.sky_terms = sky_terms;
+  if (input.intensity_range) {
+    const auto [low, high] = *input.intensity_range;
+    o.flash_ln_mean = 0.5 * (std::log(low) + std::log(high));
+    o.flash_ln_sd = std::max(1e-4, 0.25 * std::log(high / low));   // the range is +-2 sigma
+  }
+  // With nothing known, "all light is bounced light between white surfaces" explains any photograph of rough geometry: the guess at the start holds against it.
+  if (!input.intensity_range && !scale_is_given) {
+    o.flash_ln_mean = std::log(start.flash_intensity);
+    o.flash_ln_sd = kGuessSd;
+    o.flash_is_guess = true;
+  }
+  if (pairs) o.information = kPairInformation;
+  return o;
+}
+
+/// share of `values`, the rest of `before`.
+void blend_into(std::vector<float>& values, const std::vector<float>& before, double share) {
+  const float s = static_cast<float>(share);
+  parallel_blocks(values.size(), 65536, [&](std::size_t b, std::size_t e) {
+    for (std::size_t i = b; i < e; ++i) values[i] = before[i] + s * (values[i] - before[i]);
+  });
+}
+
+}  // namespace
+
+std::filesystem::path observation_path(const std::filesystem::path& folder, std::size_t k) { return folder / concat("observation_", k, ".bin"); }
+
+Lights start_lights(const AcquisitionInput& input, int sky_terms) {
+  Lights x;
+  x.flash_intensity = input.intensity_range ? std::sqrt((*input.intensity_range)[0] * (*input.intensity_range)[1]) : 1.0;
+  if (sky_terms > 0) x.sky[0] = 0.01 * x.flash_intensity / 4;
+  return x;
+}
+
+void guess_flash(const Scene& scene, const AcquisitionInput& input, const std::filesystem::path& folder, Lights& lights) {
+  if (input.intensity_range) return;
+  const std::size_t n = scene.proxy.size();
+  if (n == 0) return;
+  std::vector<float> ln_sum(n, 0.0f);
+  std::vector<std::uint16_t> times(n, 0);
+  for (std::size_t k = 0; k < input.photographs.size(); ++k) {
+    const Observation o = read_observation(observation_path(folder, k), n);
+    for (std::size_t i = 0; i < n; ++i) {
+      if (!o.seen[i] || !(o.flash[i] > 0) || !(o.radiosity[3 * i + 1] > 0)) continue;
+      ln_sum[i] += std::log(o.radiosity[3 * i + 1] / o.flash[i]);
+      ++times[i];
+    }
+  }
+  const std::uint16_t least = *std::max_element(times.begin(), times.end()) >= 2 ? 2 : 1;
+  std::vector<float> ratios;
+  for (std::size_t i = 0; i < n; ++i)
+    if (times[i] >= least) ratios.push_back(std::exp(ln_sum[i] / static_cast<float>(times[i])));
+  if (ratios.empty()) return;
+  const auto at = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() * 95 / 100);
+  std::nth_element(ratios.begin(), at, ratios.end());
+  lights.flash_intensity = std::max(1e-9, static_cast<double>(*at) / 0.8);
+  lights.sky[0] = std::min(lights.sky[0], 0.0025 * lights.flash_intensity);
+}
+
+LightProblem::LightProblem(const Scene& scene, const Smoother& smoother, const AcquisitionInput& input, const AcquisitionOptions& options, std::vector<std::size_t> photographs,
+                           const std::filesystem::path& folder, double bounce_sd)
+    : bounce_sd_(bounce_sd), scene_(scene), smoother_(smoother), input_(input), options_(options), photographs_(std::move(photographs)), folder_(folder), times_seen_(scene.proxy.size(), 0), exposures_(input.photographs.size(), 1.0) {
+  for (const std::size_t k : photographs_) {
+    const Observation o = read(k);
+    for (std::size_t i = 0; i < times_seen_.size(); ++i) times_seen_[i] = static_cast<std::uint16_t>(times_seen_[i] + o.seen[i]);
+  }
+  nearest_seen_ = nearest_seen_surfels(scene.proxy, times_seen_);
+  use_pairs_ = photographs_.size() == 1;
+  if (use_pairs_) {
+    pairs_ = choose_pairs(scene, read(photographs_[0]), options.light_samples / 4, options.seed);
+  } else {
+    chosen_ = choose_surfels(times_seen_, 2, options.light_samples, options.seed);
+  }
+  for (const ReferenceTarget& t : input.references)
+    if (std::find(photographs_.begin(), photographs_.end(), t.photograph) != photographs_.end())
+      if (auto reading = read_reference(scene, input, t)) references_.push_back(*reading);
+}
+
+LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer, double& change, Reporter& report) {
+  sky_ = sky;
+  bool choose_sky = !richer_skies(sky, input_.sky, scene_.floor && input_.try_floor).empty();
+  LightSolution solution;
+  solution.lights = start;
+  std::vector<float> albedo(3 * scene_.proxy.size(), 0.3f);
+  Relaxation relaxation;
+  int most = options_.outer_iterations;
+  for (outer = 0; outer < most; ++outer) {
+    report.check();
+    sweep(solution.lights, albedo, outer < 2 ? kFirstSweeps : kLaterSweeps, relaxation.share());
+    const Lights before = solution.lights;
+    const LightSolveOptions light_options = current_options(start);
+    solution = solve_lights(samples_, current_references(), light_options, before);
+    if (outer == kBounceCheck && !without_bounces_) check_bounces(light_options, solution);
+    change = light_change(before, solution.lights);
+    report.progress(static_cast<std::uint64_t>(std::min(outer + 1, options_.outer_iterations)));
+    const bool settled = outer > kBounceCheck && change < kOuterTolerance;
+    const bool evened = exposure_rounds_ < kExposureRounds && outer > kBounceCheck && change < kSettled && even_exposures(solution.lights);
+    bool chose = false, richer = false;
+    if (!evened && choose_sky && (change < kSettled || outer + 1 == most) && outer > kBounceCheck) {
+      choose_sky = false;
+      chose = true;
+      richer = choose_richer_sky(start, solution);
+    }
+    albedo = mean_albedo(solution.lights);
+    if (!evened && settled && !richer) break;
+    if (evened || chose) most = outer + 1 + options_.outer_iterations;
+    if (!evened && outer > 0) relaxation.observe(light_step(before, solution.lights));
+  }
+  solution.converged = solution.converged && change < kSettled;
+  // With the lights final: the gathered light that the albedo stage reads.
+  sweep(solution.lights, albedo, kFirstSweeps, relaxation.share());
+  albedo_ = mean_albedo(solution.lights);
+  return solution;
+}
+
+/// Takes the factor of brightness out of photographs that are clearly off. Returns whether there were any.
+bool LightProblem::even_exposures(const Lights& lights) {
+  ++exposure_rounds_;
+  if (use_pairs_) return false;
+  const std::vector<double> found = unlike_exposures(samples_, lights, exposures_);
+  bool any = false;
+  for (const std::size_t k : photographs_) {
+    if (std::fabs(std::log(found[k])) < kSettled) continue;
+    any = true;
+    exposures_[k] *= found[k];
+    const float factor = static_cast<float>(1 / found[k]);
+    Observation o = read(k);
+    for (std::size_t i = 0; i < o.seen.size(); ++i)
+      for (std::size_t c = 3 * i; o.seen[i] && c < 3 * i + 3; ++c) o.radiosity[c] *= factor;
+    write_observation(o, observation_path(folder_, k));
+    for (ReferenceReading& r : references_)
+      if (r.photograph == k)
+        for (float& b : r.reference.sample.radiosity) b *= factor;
+  }
+  return any;
+}
+
+LightSolveOptions LightProblem::current_options(const Lights& start) const {
+  LightSolveOptions o = solve_options(input_, start, !references_.empty(), sky_.terms, use_pairs_, bounce_sd_);
+  o.sky_colour = sky_.coloured;
+  o.floor = sky_.floor;
+  if (without_bounces_) o.bounce_mean = o.bounce_sd = 0;
+  return o;
+}
+
+/// Tries richer models of the ambient light on what is gathered now, and takes the one with the smallest Bayesian information criterion: misfit, and
+/// ln(residuals) / 2 for each parameter. One photograph supports none (physics.md E.4). Returns whether the model has changed.
+bool LightProblem::choose_richer_sky(const Lights& start, LightSolution& solution) {
+  if (use_pairs_) return false;
+  const SkyShape plain = sky_;
+  const LightSolveOptions plain_options = current_options(start);
+  const Lights base = solution.lights;
+  const double price = std::log(std::max(2.0, independent_residuals(samples_, plain_options))), reference = 2 * light_misfit(samples_, plain_options, base, base) + price * plain.parameters();
+  SkyShape best = plain;
+  double least = 0;
+  sky_evidence_ = {{plain.name(), plain.parameters(), 0}};
+  for (const SkyShape& candidate : richer_skies(plain, input_.sky, scene_.floor && input_.try_floor)) {
+    sky_ = candidate;
+    LightSolveOptions candidate_options = current_options(start);
+    candidate_options.max_iterations = kTrialIterations;
+    const LightSolution tried = solve_lights(samples_, current_references(), candidate_options, base);
+    const double criterion = 2 * light_misfit(samples_, plain_options, tried.lights, base) + price * candidate.parameters() - reference;
+    sky_evidence_.push_back({candidate.name(), candidate.parameters(), criterion});
+    if (!(criterion < least)) continue;
+    least = criterion;
+    best = candidate;
+    solution = tried;
+  }
+  sky_ = best;
+  return best.name() != plain.name();
+}
+
+/// Photographs may hold no interreflection at all (they were corrected before, or composed). If leaving it out explains them far better, it is left out.
+void LightProblem::check_bounces(const LightSolveOptions& options, LightSolution& solution) {
+  LightSolveOptions no_bounces = options;
+  no_bounces.bounce_mean = no_bounces.bounce_sd = 0;
+  Lights start = solution.lights;
+  start.bounce = 0;
+  // References do not take part: one that is misread must not decide.
+  const LightSolution without = solve_lights(samples_, {}, no_bounces, start);
+  const double with = references_.empty() ? solution.scatter : solve_lights(samples_, {}, options, solution.lights).scatter;
+  constexpr double kClearly = 0.8;
+  if (without.scatter > kClearly * with) return;
+  without_bounces_ = true;
+  solution = references_.empty() ? without : solve_lights(samples_, current_references(), no_bounces, start);
+}
+
+void LightProblem::add_sample(std::size_t k, const Observation& o, const std::vector<float>& g, std::size_t i, std::uint32_t group) {
+  LightSample s = sample_of(scene_.transport, o, g, i);
+  s.group = group;
+  s.photograph = static_cast<std::uint32_t>(k);
+  s.flash_photograph = input_.photographs[k].flash_in_camera.has_value();
+  for (float& t : s.sky) t *= static_cast<float>(ambient_scale(k));
+  for (float& t : s.hidden) t *= static_cast<float>(ambient_scale(k));
+  samples_.push_back(s);
+}
+
+Observation LightProblem::read(std::size_t k) const {
+  Observation o = read_observation(observation_path(folder_, k), scene_.proxy.size());
+  if (scene_.floor && input_.photographs[k].flash_in_camera) o.floor_flash = read_floats(floor_flash_path(folder_, k), scene_.proxy.size());
+  return o;
+}
+
+/// One pass over the photographs: completes their radiosity under the lights (`share` of it new) and refreshes the samples.
+void LightProblem::sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share) {
+  samples_.clear();
+  for (const std::size_t k : photographs_) {
+    Observation o = read(k);
+    std::vector<float> before;
+    if (share < 1) before = o.radiosity;
+    std::vector<float> g = complete_radiosity(scene_.transport, smoother_, kSmoothPasses, exposed(lights, ambient_scale(k)), albedo, o, max_sweeps, kSweepTolerance);
+    if (share < 1) {   // gathering is linear: what holds for the radiosity holds for G
+      blend_into(o.radiosity, before, share);
+      blend_into(g, read_floats(gathered_path(folder_, k), g.size()), share);
+    }
+    if (use_pairs_) {
+      for (std::size_t p = 0; p < pairs_.size(); ++p)
+        for (const std::uint32_t i : {pairs_[p].a, pairs_[p].b}) {
+          add_sample(k, o, g, i, static_cast<std::uint32_t>(p));
+          samples_.back().trust = pairs_[p].trust;
+        }
+    } else {
+      for (const std::uint32_t i : chosen_)
+        if (o.seen[i]) add_sample(k, o, g, i, i);
+    }
+    for (ReferenceReading& r : references_)
+      if (r.photograph == k) {
+        r.reference.sample.gathered = interpolate<3>(r.stencil, g);
+        if (!o.floor_flash.empty()) r.reference.sample.floor_flash = interpolate<1>(r.stencil, o.floor_flash)[0];
+      }
+    write_observation(o, observation_path(folder_, k));
+    write_floats(g, gathered_path(folder_, k));
+  }
+  std::stable_sort(samples_.begin(), samples_.end(), [](const LightSample& a, const LightSample& b) { return a.group < b.group; });
+}
+
+/// The albedo that the photographs have under these lights, with the light gathered last: what unseen surfels radiate must not lag behind the lights by a step,
+/// or the iteration overshoots.
+std::vector<float> LightProblem::mean_albedo(const Lights& lights) const {
+  AlbedoMean mean(scene_.proxy.size());
+  for (const std::size_t k : photographs_) mean.add(scene_.transport, read(k), read_floats(gathered_path(folder_, k), 3 * scene_.proxy.size()), exposed(lights, ambient_scale(k)));
+  return mean.albedo(nearest_seen_);
+}
+
+std::vector<ReferenceSample> LightProblem::current_references() const {
+  std::vector<ReferenceSample> r;
+  for (const ReferenceReading& reading : references_) r.push_back(reading.reference);
+  return r;
+}
+
+}  // namespace chiaro::optimize

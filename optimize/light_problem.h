@@ -1,0 +1,75 @@
+/// One set of photographs that share their lights: the whole acquisition, or a single photograph.
+#pragma once
+#include <cstdint>
+#include <filesystem>
+#include <vector>
+
+#include "optimize/light_samples.h"
+#include "optimize/light_step.h"
+#include "optimize/sky_shape.h"
+
+namespace chiaro::optimize {
+
+inline constexpr double kOuterTolerance = 3e-5, kSettled = 1e-3;   ///< of light_change(): over, and near enough
+
+class LightProblem {
+ public:
+  /// photographs: indices into input.photographs, whose observations lie in `folder`. bounce_sd: prior of the factor on gathered light.
+  LightProblem(const Scene& scene, const Smoother& smoother, const AcquisitionInput& input, const AcquisitionOptions& options, std::vector<std::size_t> photographs,
+               const std::filesystem::path& folder, double bounce_sd);
+
+  /// Alternates between what unseen surfels radiate and the lights until nothing moves. Plain alternation overshoots where unseen surfaces give most of the light (in a
+  /// closed room it ends in a cycle), so the step is relaxed. Leaves folder/gathered_K.bin. throws Error, Cancelled.
+  LightSolution solve(SkyShape sky, const Lights& start, int& outer, double& change, Reporter& report);
+
+  const std::vector<std::uint16_t>& times_seen() const { return times_seen_; }
+  std::size_t num_references() const { return references_.size(); }
+  /// Of the photographs of the input: factors that were taken out.
+  const std::vector<double>& exposures() const { return exposures_; }
+  SkyShape sky() const { return sky_; }
+  const std::vector<SkyEvidence>& sky_evidence() const { return sky_evidence_; }
+  const std::vector<float>& albedo() const { return albedo_; }
+  bool without_bounces() const { return without_bounces_; }
+
+ private:
+  bool even_exposures(const Lights& lights);
+  LightSolveOptions current_options(const Lights& start) const;
+  bool choose_richer_sky(const Lights& start, LightSolution& solution);
+  void check_bounces(const LightSolveOptions& options, LightSolution& solution);
+  double ambient_scale(std::size_t k) const { return input_.photographs[k].ambient_scale; }
+  void add_sample(std::size_t k, const Observation& o, const std::vector<float>& g, std::size_t i, std::uint32_t group);
+  Observation read(std::size_t k) const;
+  void sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share);
+  std::vector<float> mean_albedo(const Lights& lights) const;
+  std::vector<ReferenceSample> current_references() const;
+
+  const double bounce_sd_;
+  const Scene& scene_;
+  const Smoother& smoother_;
+  const AcquisitionInput& input_;
+  const AcquisitionOptions& options_;
+  const std::vector<std::size_t> photographs_;
+  const std::filesystem::path folder_;
+  std::vector<std::uint16_t> times_seen_;
+  std::vector<double> exposures_;
+  std::vector<std::uint32_t> nearest_seen_, chosen_;
+  std::vector<Pair> pairs_;
+  std::vector<ReferenceReading> references_;
+  std::vector<LightSample> samples_;
+  std::vector<float> albedo_;
+  SkyShape sky_;
+  std::vector<SkyEvidence> sky_evidence_;
+  int exposure_rounds_ = 0;
+  bool use_pairs_ = false, without_bounces_ = false;
+};
+
+/// The lights that a search starts from.
+Lights start_lights(const AcquisitionInput& input, int sky_terms);
+/// A flash of unknown strength starts where the brightest surfels have albedo 0.8: only the scale, never a result. A surfel's brightness is its geometric mean
+/// over the photographs, so that highlights, which move, count little.
+void guess_flash(const Scene& scene, const AcquisitionInput& input, const std::filesystem::path& folder, Lights& lights);
+
+/// State between iterations: observation K of an acquisition.
+std::filesystem::path observation_path(const std::filesystem::path& folder, std::size_t photograph);
+
+}  // namespace chiaro::optimize

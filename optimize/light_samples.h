@@ -1,0 +1,40 @@
+/// Which surfels, pairs of surfels and targets the lights are solved from, and what photographs say about them.
+#pragma once
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "optimize/acquisition.h"
+#include "optimize/fields.h"
+
+namespace chiaro::optimize {
+
+/// What a photograph says of surfel i; `gathered` is its G, 3 N.
+LightSample sample_of(const Transport& transport, const Observation& o, const std::vector<float>& gathered, std::size_t i);
+
+/// Surfels that stand for the acquisition in the light solve: seen `at_least` times, chosen by hash so that the choice is even and repeatable.
+std::vector<std::uint32_t> choose_surfels(const std::vector<std::uint16_t>& times_seen, int at_least, std::size_t count, std::uint64_t seed);
+
+/// Two surfels of one photograph that probably share their albedo.
+struct Pair {
+  std::uint32_t a, b;
+  float trust;
+};
+
+/// Pairs at several scales: a surfel and the seen surfel nearest to a point some way along the surface.
+std::vector<Pair> choose_pairs(const Scene& scene, const Observation& o, std::size_t count, std::uint64_t seed);
+
+/// The mean over the pixels of a target; what is gathered comes from the proxy around its middle.
+struct ReferenceReading {
+  ReferenceSample reference;
+  Stencil stencil;
+  std::size_t photograph;
+};
+
+/// Absent where the target covers no usable pixel.
+std::optional<ReferenceReading> read_reference(const Scene& scene, const AcquisitionInput& input, const ReferenceTarget& target);
+
+/// Where a photograph's flash stands; absent: taken without.
+std::optional<Vec3d> flash_in_world(const AcquisitionInput& input, std::size_t photograph);
+
+}  // namespace chiaro::optimize
