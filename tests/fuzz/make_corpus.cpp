@@ -94,8 +94,8 @@ void make_las(const fs::path& to) {
 }
 
 void make_pictures(const fs::path& to) {
-  for (const char* folder : {"exr", "png", "tiff", "jpeg", "raw", "raster"}) make_folder(to / folder);
-  const int width = 9, height = 20;
+  for (const char* folder : {"exr", "png", "tiff", "jpeg", "mask", "raw", "raster"}) make_folder(to / folder);
+  const int width = fuzz::kPictureWidth, height = fuzz::kPictureHeight;
   std::vector<float> values(width * height * 3);
   std::vector<std::uint8_t> bytes(values.size());
   std::vector<std::uint16_t> words(values.size());
@@ -152,6 +152,21 @@ void make_pictures(const fs::path& to) {
     writer.write_rows<std::uint8_t>("flags", 0, std::span<const std::uint8_t>(bytes).first(width * height));
     writer.commit();
   }
+}
+
+// Masks are pictures of the size of their photograph.
+void make_masks(const fs::path& to) {
+  put(to / "mask/grey.png", read_text(to / "png/grey16.png"));
+  put(to / "mask/deflate.tif", read_text(to / "tiff/rgb16_8.tif"));
+}
+
+void make_npy(const fs::path& to) {
+  make_folder(to / "npy");
+  std::string header = "{'descr': '<f4', 'fortran_order': False, 'shape': (5, 3), }";
+  header.resize(117, ' ');
+  std::string file = std::string("\x93NUMPY\1\0", 8) + bytes_of(std::uint16_t{118}) + header + "\n";
+  for (int i = 0; i < 15; ++i) file += bytes_of(static_cast<float>(i) / 16);
+  put(to / "npy/five.npy", file);
 }
 
 // A mosaic in a DNG, without compression.
@@ -236,6 +251,8 @@ int main(int argc, char** argv) {
   make_texts(to);
   make_las(to);
   make_pictures(to);
+  make_masks(to);
+  make_npy(to);
   make_dng(to);
   make_store(to);
 }

@@ -12,6 +12,7 @@
 #include "stream/base/hash.h"
 #include "stream/cloud/point_stream.h"
 #include "stream/photo/camera_files.h"
+#include "stream/photo/develop.h"
 #include "stream/photo/image_io.h"
 #include "stream/photo/raster.h"
 #include "stream/photo/raw.h"
@@ -19,6 +20,7 @@
 #include "stream/store/octree_build.h"
 #include "stream/store/repair.h"
 #include "stream/store/store_format.h"
+#include "tools/npy_reader.h"
 #include "tools/project.h"
 
 namespace chiaro::fuzz {
@@ -80,6 +82,30 @@ bool picture(const char* name, Bytes bytes) {
     stream::ImageSource source(path, options);
     std::vector<float> rows(static_cast<std::size_t>(source.width()) * static_cast<std::size_t>(source.channels()) * 16);
     for (int y = 0; y < source.height(); y += 16) source.read_rows(y, std::min(16, source.height() - y), rows.data());
+  });
+}
+
+// A mask belongs to a photograph, and must be of its size: that of the corpus' pictures.
+bool mask(Bytes bytes) {
+  const fs::path photograph = folder() / "photo.exr", path = put("mask.png", bytes);
+  if (!fs::exists(photograph)) stream::write_exr(photograph, kPictureWidth, kPictureHeight, {"Y"}, std::vector<float>(std::size_t{kPictureWidth} * kPictureHeight, 0.25f), true);
+  return is_read([&] {
+    stream::DevelopOptions options;
+    options.mask = path;
+    options.noise = stream::NoiseModel{1e-4, 1e-3};
+    stream::develop(photograph, options, folder() / "photo.raster", silent_reporter());
+  });
+}
+
+bool npy(Bytes bytes) {
+  const fs::path path = put("colours.npy", bytes);
+  return is_read([&] {
+    tools::NpyReader reader(path);
+    for (std::size_t n = 0; n < kMostPoints;) {
+      const std::size_t rows = reader.read(4096).size();
+      if (rows == 0) break;
+      n += rows;
+    }
   });
 }
 
@@ -189,6 +215,8 @@ const std::vector<Target>& targets() {
       {"tiff", [](Bytes b) { return picture("a.tif", b); }},
       {"png", [](Bytes b) { return picture("a.png", b); }},
       {"jpeg", [](Bytes b) { return picture("a.jpg", b); }},
+      {"mask", mask},
+      {"npy", npy},
       {"raw", raw},
       {"raster", raster},
       {"colmap_text", [](Bytes b) { return colmap("txt", b); }},

@@ -9,12 +9,15 @@
 
 namespace chiaro::fuzz {
 
+/// Size of the corpus' pictures, pixels.
+constexpr int kPictureWidth = 9, kPictureHeight = 20;
+
 struct Target {
   std::string name;
   bool (*run)(std::span<const std::uint8_t> bytes);  ///< true if it was read to the end, false if refused; throws what is not an Error
 };
 
-/// ply las laz e57 pcd xyz csv pts ptx · exr tiff png jpeg raw raster · colmap_text colmap_binary metashape · project store
+/// ply las laz e57 pcd xyz csv pts ptx npy · exr tiff png jpeg mask raw raster · colmap_text colmap_binary metashape · project store
 const std::vector<Target>& targets();
 /// throws std::invalid_argument for an unknown name.
 const Target& target(const std::string& name);
