@@ -54,13 +54,29 @@ void DepthMap::shorten(const Tracer& tracer, double nearest) {
   gather();
 }
 
+// A single long ray among short ones slipped between two discs: only what is open over two by two rays counts.
+std::vector<float> DepthMap::without_pinholes() const {
+  const auto at = [&](int x, int y) { return reach_[static_cast<std::size_t>(y) * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(x)]; };
+  std::vector<float> open(reach_.size(), 0.0f);
+  for (int y = 0; y + 1 < rows_; ++y)
+    for (int x = 0; x + 1 < columns_; ++x) {
+      const float least = std::min(std::min(at(x, y), at(x + 1, y)), std::min(at(x, y + 1), at(x + 1, y + 1)));
+      for (int k = 0; k < 4; ++k) {
+        float& o = open[static_cast<std::size_t>(y + k / 2) * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(x + k % 2)];
+        o = std::max(o, least);
+      }
+    }
+  return open;
+}
+
 void DepthMap::gather() {
+  const std::vector<float> open = without_pinholes();
   for (int j = 0; j < cell_rows_; ++j)
     for (int i = 0; i < cell_columns_; ++i) {
       float most = 0;
       for (int y = std::max(0, j * kCell - 1); y <= std::min(rows_ - 1, (j + 1) * kCell); ++y)
         for (int x = std::max(0, i * kCell - 1); x <= std::min(columns_ - 1, (i + 1) * kCell); ++x)
-          most = std::max(most, reach_[static_cast<std::size_t>(y) * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(x)]);
+          most = std::max(most, open[static_cast<std::size_t>(y) * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(x)]);
       cells_[static_cast<std::size_t>(j) * static_cast<std::size_t>(cell_columns_) + static_cast<std::size_t>(i)] = most;
     }
 }

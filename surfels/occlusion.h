@@ -27,6 +27,7 @@ class DepthMap {
   static constexpr int kCell = 4;
 
   Vec3d direction(int column, int row) const;
+  std::vector<float> without_pinholes() const;
   void gather();
 
   const Frustum* frustum_;

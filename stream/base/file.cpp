@@ -81,6 +81,10 @@ void File::write_at(std::uint64_t offset, const void* data, std::size_t bytes) {
   }
 }
 
+void File::will_need(std::uint64_t offset, std::uint64_t bytes) const noexcept {
+  (void)::posix_fadvise(fd_, static_cast<off_t>(offset), static_cast<off_t>(bytes), POSIX_FADV_WILLNEED);   // a hint: where it is not taken nothing is lost
+}
+
 void File::reserve(std::uint64_t bytes) {
   if (bytes == 0) return;
   const int code = ::posix_fallocate(fd_, 0, static_cast<off_t>(bytes));

@@ -25,6 +25,8 @@ class File {
   void read_at(std::uint64_t offset, void* data, std::size_t bytes) const;
   /// Reads up to `bytes` bytes; returns how many (fewer only at the end of the file).
   std::size_t read_some_at(std::uint64_t offset, void* data, std::size_t bytes) const;
+  /// Says that these bytes are read soon: the system may fetch them meanwhile, many such places at a time.
+  void will_need(std::uint64_t offset, std::uint64_t bytes) const noexcept;
   void write_at(std::uint64_t offset, const void* data, std::size_t bytes);
   /// Reserves disk space so that a full disk is met here and not later. throws Error ("no space").
   void reserve(std::uint64_t bytes);

@@ -139,7 +139,11 @@ class LeafAssembler {
     SpillPages pages = find_pages(spill_, spill_end_, partitions);
     std::vector<Job> wave;
     const auto wave_size = static_cast<std::size_t>(limits.workers);
+    std::size_t fetched = 0;
     for (std::size_t i = 0; i < partitions.size(); ++i) {
+      // A partition lies in hundreds of small pages all over the file: asked for one after the other they would come at the pace of the disk's latency.
+      for (; fetched < std::min(partitions.size(), i + 2 * wave_size + 1); ++fetched)
+        for (const SpillPage& page : pages[fetched]) spill_.will_need(page.offset, page.bytes);
       const MortonKey begin = cell_begin(partitions[i].begin, kMaxLevel);
       const MortonKey end = i + 1 < partitions.size() ? cell_begin(partitions[i + 1].begin, kMaxLevel) : cell_begin(1, 0);
       Job job{std::move(pages[i]), partitions[i].count, {begin, end}, {}};

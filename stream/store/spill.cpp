@@ -231,7 +231,10 @@ std::uint64_t SpillWriter::finish() {
 SpillPages find_pages(const File& file, std::uint64_t end, const std::vector<Partition>& partitions) {
   SpillPages pages(partitions.size());
   std::vector<std::uint64_t> points(partitions.size());
+  constexpr std::uint64_t kAhead = 8 << 20;   // headers lie 16 KiB apart: read along with what is between, they come at the disk's pace and not at its latency's
+  std::uint64_t fetched = 0;
   for (std::uint64_t at = 0; at < end;) {
+    for (; fetched < std::min(end, at + kAhead); fetched += kAhead) file.will_need(fetched, kAhead);
     PageHeader h;
     file.read_at(at, &h, sizeof h);
     if (!is_plausible(h) || h.partition >= partitions.size() || h.bytes > end - at) damaged(file, at);

@@ -113,6 +113,31 @@ TEST(WorkingSet, IsTheSameForAnyThreadsAndBatches) {
   EXPECT_EQ(hidden(2000), whole);
 }
 
+// Rays that slip through a wall one at a time do not make it a window.
+TEST(WorkingSet, PinholesDoNotOpenAWall) {
+  const View view = view_to({0, 0, 2}, {0, 0, 0}, 400, 300, 500);
+  const auto hidden_behind = [&](bool holes) {
+    const ScratchFolder folder;
+    std::vector<tests::SampledPoint> points;
+    for (const auto& p : tests::square_points(260, 4.0, {0, 0, 0}, {0, 0, 1}, 1)) {
+      const double x = std::remainder(p.position.x(), 0.25), y = std::remainder(p.position.y(), 0.25);
+      if (!holes || std::hypot(x, y) > 0.046) points.push_back(p);
+    }
+    const auto more = tests::square_points(200, 6.0, {0, 0, -1}, {0, 0, 1}, 2);
+    points.insert(points.end(), more.begin(), more.end());
+    const stream::Store store = tests::build_test_store(points, folder.path(), 1024);
+    MemoryBudget budget(kRoom);
+    const std::vector<Frustum> frusta{make_frustum(view, 16, view.pose.centre_in_world())};
+    const auto maps = find_occlusion(store, store.leaves(), frusta, {8.0 / 500, 1u << 30}, budget, silent_reporter());   // a ray every 32 mm
+    int hidden = 0;
+    for (const std::uint32_t c : store.leaves()) hidden += !frusta[0].misses(store.ray_bounds(c)) && maps[0].hides(store.ray_bounds(c));
+    return hidden;
+  };
+  const int whole = hidden_behind(false), pierced = hidden_behind(true);
+  EXPECT_GT(whole, 8);
+  EXPECT_EQ(pierced, whole) << "of " << whole;
+}
+
 TEST(WorkingSet, KeepsLittleOfWhatHides) {
   const ScratchFolder folder;
   const stream::Store store = walls(folder.path());
