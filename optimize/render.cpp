@@ -16,7 +16,7 @@ namespace chiaro::optimize {
 namespace {
 
 constexpr float kPi = std::numbers::pi_v<float>;
-constexpr int kBandRows = 64;
+constexpr int kBandRows = 64, kBandPixels = 1 << 19;   ///< of a view at a time: fewer rows where it is wide
 constexpr float kOneSurfaceRadii = 2;   ///< depths within a pixel that differ by more belong to two surfaces
 
 /// The geometry of a view and the albedo of its surfels.
@@ -166,6 +166,9 @@ struct Shader {
   }
 };
 
+/// Of render_rows(): values, depth, radius and albedo of the points, and the interleaved result.
+constexpr std::uint64_t kBytesPerPixel = 2 * sizeof(Vec3f) + 2 * sizeof(float) + 3 * sizeof(float);
+
 /// Interleaved pixels of some rows.
 std::vector<float> render_rows(const Shader& shader, int y0, int rows, RenderStats& stats) {
   const int width = shader.view.lens.width_px;
@@ -218,9 +221,12 @@ RenderStats render(const stream::Store& store, const stream::Layer& layer, const
   stream::ExrWriter out(picture, width, height, {"R", "G", "B"}, true);
   RenderStats stats;
   report.begin(concat("render ", view.name), static_cast<std::uint64_t>(height), "rows");
-  for (int y0 = 0; y0 < height; y0 += kBandRows) {
+  const int band_rows = std::clamp(kBandPixels / width, 1, kBandRows);
+  const std::size_t band_pixels = static_cast<std::size_t>(band_rows) * static_cast<std::size_t>(width);
+  const BudgetLease lease(budget, band_pixels * kBytesPerPixel + sharpening_bytes(band_pixels, options.sharpen_by), "rows of the view");
+  for (int y0 = 0; y0 < height; y0 += band_rows) {
     report.check();
-    const int rows = std::min(kBandRows, height - y0);
+    const int rows = std::min(band_rows, height - y0);
     const std::vector<float> values = render_rows(shader, y0, rows, stats);
     out.write_rows(rows, values);
     report.progress(static_cast<std::uint64_t>(y0 + rows));

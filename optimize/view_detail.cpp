@@ -9,7 +9,7 @@
 namespace chiaro::optimize {
 namespace {
 
-constexpr int kPhotoRows = 64;
+constexpr int kPhotoRows = 64, kHalo = 16;   ///< rows of a photograph at a time, and beyond them on both sides
 constexpr int kMostSamples = 4;            ///< a side, where the view is coarser than the photograph
 constexpr float kDepthFootprints = 3;      ///< how far depths may lie apart
 constexpr float kFullWeightFromEdge = 8;   ///< pixels
@@ -22,6 +22,7 @@ constexpr float kPointsShare = 0.1f, kPointsSigma = 0.05f;   ///< the points tak
 
 /// Rows [y0, y0 + rows) of a photograph.
 struct PhotoRows {
+  static constexpr std::uint64_t kBytesPerPixel = 8 * sizeof(float);
   int y0, rows, width;
   std::vector<float> r, g, b, sigma, depth, footprint, cosv, edge;
 
@@ -40,7 +41,6 @@ struct PhotoRows {
 /// Where a pixel of the view lies in a photograph.
 struct Place {
   float u = 0, v = 0, distance = -1;   ///< pixels, middles at integers; distance from the photograph's camera; < 0: nowhere
-  float likeness = 1;                  ///< of the light that falls there in the view and in the photograph
 };
 
 /// Weighted sums over the photographs.
@@ -50,22 +50,36 @@ struct Sum {
   float strength = 0;   ///< weight but for the likeness of the light: beside the points
 };
 
-float bilinear(const std::vector<float>& plane, std::size_t i, std::size_t width, float s, float t) {
-  return (plane[i] * (1 - s) + plane[i + 1] * s) * (1 - t) + (plane[i + width] * (1 - s) + plane[i + width + 1] * s) * t;
-}
+/// The four pixels around a place, and how much each counts.
+struct Four {
+  std::size_t first, width;
+  float s, t;
 
-/// Adds what the photograph shows at `at`, if it shows that surface.
-void add_sample(const PhotoRows& photo, const Place& at, float radius, Sum& sum) {
-  const auto x = static_cast<int>(at.u), y = static_cast<int>(at.v);
-  const auto width = static_cast<std::size_t>(photo.width), i = static_cast<std::size_t>(y - photo.y0) * width + static_cast<std::size_t>(x);
-  const float s = at.u - static_cast<float>(x), t = at.v - static_cast<float>(y);
-  const float footprint = photo.footprint[i], edge = std::min({photo.edge[i], photo.edge[i + 1], photo.edge[i + width], photo.edge[i + width + 1]});
+  /// Nullopt where they are not all held.
+  static std::optional<Four> around(const PhotoRows& photo, float u, float v) {
+    if (!(u >= 0 && v >= static_cast<float>(photo.y0))) return std::nullopt;
+    const auto x = static_cast<int>(u), y = static_cast<int>(v);
+    if (x + 1 >= photo.width || y + 1 >= photo.y0 + photo.rows) return std::nullopt;
+    const auto width = static_cast<std::size_t>(photo.width);
+    return Four{static_cast<std::size_t>(y - photo.y0) * width + static_cast<std::size_t>(x), width, u - static_cast<float>(x), v - static_cast<float>(y)};
+  }
+  float mean(const std::vector<float>& plane) const {
+    return (plane[first] * (1 - s) + plane[first + 1] * s) * (1 - t) + (plane[first + width] * (1 - s) + plane[first + width + 1] * s) * t;
+  }
+  float least(const std::vector<float>& plane) const { return std::min({plane[first], plane[first + 1], plane[first + width], plane[first + width + 1]}); }
+};
+
+/// Adds what the photograph shows at `at`, if that surface is there.
+void add_sample(const PhotoRows& photo, const Place& at, const Vec2f& shift_px, float radius, Sum& sum) {
+  const auto surface = Four::around(photo, at.u, at.v), shown = Four::around(photo, at.u + shift_px.x(), at.v + shift_px.y());
+  if (!surface || !shown) return;
+  const float footprint = photo.footprint[surface->first], edge = surface->least(photo.edge);
   if (!(footprint > 0) || footprint > radius || edge < kLeastEdge) return;
-  if (std::fabs(bilinear(photo.depth, i, width, s, t) - at.distance) > kDepthFootprints * footprint) return;
-  const Vec3f albedo(bilinear(photo.r, i, width, s, t), bilinear(photo.g, i, width, s, t), bilinear(photo.b, i, width, s, t));
-  const float sigma = bilinear(photo.sigma, i, width, s, t);
+  if (std::fabs(surface->mean(photo.depth) - at.distance) > kDepthFootprints * footprint) return;
+  const Vec3f albedo(shown->mean(photo.r), shown->mean(photo.g), shown->mean(photo.b));
+  const float sigma = shown->mean(photo.sigma);
   if (!(albedo.sum() >= 0) || !(sigma >= 0)) return;   // NaN: no value at one of the four
-  const float resolution = photo.cosv[i] / footprint;
+  const float resolution = photo.cosv[surface->first] / footprint;
   const float strength = resolution * resolution * std::min(1.0f, edge / kFullWeightFromEdge) / (sigma * sigma + kSigmaFloor * kSigmaFloor);
   sum.albedo += albedo * strength;
   sum.strength += strength;
@@ -77,25 +91,24 @@ class Lookup {
   Lookup(const DetailView& view, const ViewRows& rows, const DetailPhotograph& photograph)
       : view_(view), rows_(rows), photograph_(photograph), camera_(photograph.camera), centre_(camera_.pose.centre_in_world()) {}
 
-  /// Where the pixel (x + dx, row + dy) of the view lies.
-  Place place(int x, int row, double dx, double dy) const {
+  /// What the view shows at the pixel coordinates (x + dx, y0 + row + dy), at the pixel's distance.
+  std::optional<Vec3d> point(int x, int row, double dx, double dy) const {
     const float depth = rows_.depth[at(x, row)];
-    if (!(depth > 0)) return {};
+    if (!(depth > 0)) return std::nullopt;
     const auto d = stream::unproject(view_.lens, {x + dx, rows_.y0 + row + dy});
-    if (!d) return {};
-    const Vec3d p = view_.pose.world_from_camera(*d * static_cast<double>(depth));
-    const auto pixel = stream::project(camera_.lens, camera_.pose.camera_from_world(p));
+    if (!d) return std::nullopt;
+    return view_.pose.world_from_camera(*d * static_cast<double>(depth));
+  }
+
+  /// Where that lies in the photograph.
+  Place place(int x, int row, double dx, double dy) const {
+    const auto p = point(x, row, dx, dy);
+    if (!p) return {};
+    const auto pixel = stream::project(camera_.lens, camera_.pose.camera_from_world(*p));
     if (!pixel) return {};
     const double u = pixel->x() - 0.5, v = pixel->y() - 0.5;
     if (!(u >= 0 && v >= 0 && u < camera_.lens.width_px - 1 && v < camera_.lens.height_px - 1)) return {};
-    return {static_cast<float>(u), static_cast<float>(v), static_cast<float>((p - centre_).norm()), likeness(p)};
-  }
-
-  float likeness(const Vec3d& p) const {
-    if (!view_.flash_in_world || !photograph_.flash_in_world) return 1;
-    const Vec3d a = (*view_.flash_in_world - p).normalized(), b = (*photograph_.flash_in_world - p).normalized();
-    const float apart = static_cast<float>((a - b).norm()) / kFlashApart;
-    return 1 / (1 + apart * apart);
+    return {static_cast<float>(u), static_cast<float>(v), static_cast<float>((*p - centre_).norm())};
   }
 
   /// False where none of some of the pixels falls into the photograph: most photographs of an acquisition see nothing of a few rows.
@@ -121,11 +134,19 @@ class Lookup {
   }
 
  private:
+  /// How alike the flashes of view and photograph light the pixel: 1 from the same side.
+  float likeness(int x, int row) const {
+    if (!view_.flash_in_world || !photograph_.flash_in_world) return 1;
+    const Vec3d p = *point(x, row, 0.5, 0.5);
+    const Vec3d a = (*view_.flash_in_world - p).normalized(), b = (*photograph_.flash_in_world - p).normalized();
+    const float apart = static_cast<float>((a - b).norm()) / kFlashApart;
+    return 1 / (1 + apart * apart);
+  }
+
   std::size_t at(int x, int row) const { return static_cast<std::size_t>(row) * static_cast<std::size_t>(rows_.width) + static_cast<std::size_t>(x); }
 
   /// The pixels of the view whose middle falls into a band of the photograph; their samples may reach a few rows further.
   void add_band(const stream::RasterReader& albedo, const stream::RasterReader& gbuffer, int band, const std::vector<Place>& places, std::vector<Sum>& sums) const {
-    constexpr int kHalo = 16;
     const int first = std::max(0, band * kPhotoRows - kHalo), last = std::min(camera_.lens.height_px, (band + 1) * kPhotoRows + kHalo);
     const PhotoRows photo(albedo, gbuffer, first, last - first);
     parallel_blocks(static_cast<std::size_t>(rows_.rows), 4, [&](std::size_t b, std::size_t e) {
@@ -147,15 +168,15 @@ class Lookup {
     for (int j = 0; j < n; ++j)
       for (int k = 0; k < n; ++k) {
         const Place p = n == 1 ? middle : place(x, row, (k + 0.5) / n, (j + 0.5) / n);
-        if (p.distance < 0 || static_cast<int>(p.v) < photo.y0 || static_cast<int>(p.v) + 1 >= photo.y0 + photo.rows) continue;
-        add_sample(photo, p, rows_.radius[i], own);
+        if (p.distance >= 0) add_sample(photo, p, photograph_.shift_px, rows_.radius[i], own);
       }
-    const Vec3f albedo = own.albedo / own.strength;
+    if (!(own.strength > 0)) return;
+    const Vec3f albedo = photograph_.gain.cwiseProduct(own.albedo) / own.strength;
     if (!(albedo.mean() > kLeastAlbedo)) return;
     const float off = std::log(albedo.mean() / rows_.albedo[i].mean()) / kAgreement, doubt = 1 + off * off;
-    const float strength = own.strength / (static_cast<float>(n * n) * doubt * doubt);
-    sum.albedo += albedo * (middle.likeness * strength);
-    sum.weight += middle.likeness * strength;
+    const float strength = photograph_.trust * own.strength / (static_cast<float>(n * n) * doubt * doubt), like = likeness(x, row);
+    sum.albedo += albedo * (like * strength);
+    sum.weight += like * strength;
     sum.strength += strength;
   }
 
@@ -172,6 +193,12 @@ void require_size(const std::filesystem::path& path, const stream::RasterReader&
 }
 
 }  // namespace
+
+std::uint64_t sharpening_bytes(std::size_t pixels, std::span<const DetailPhotograph> photographs) {
+  int widest = 0;
+  for (const DetailPhotograph& p : photographs) widest = std::max(widest, p.camera.lens.width_px);
+  return pixels * (sizeof(Sum) + sizeof(Place) + sizeof(Vec3f)) + static_cast<std::uint64_t>(kPhotoRows + 2 * kHalo) * static_cast<std::uint64_t>(widest) * PhotoRows::kBytesPerPixel;
+}
 
 std::vector<Vec3f> sharpening(const DetailView& view, const ViewRows& rows, std::span<const DetailPhotograph> photographs) {
   std::vector<Sum> sums(rows.depth.size());

@@ -5,6 +5,7 @@
 /// has been blended robustly (highlights and moved objects that it left out do not come back), and by how near the directions of its flash and the view's are:
 /// relief between the points shades albedo of its own in each photograph, the same that it shades in a view lit from the same side.
 #pragma once
+#include <cstdint>
 #include <filesystem>
 #include <optional>
 #include <span>
@@ -21,6 +22,10 @@ struct DetailPhotograph {
   stream::Camera camera;
   std::filesystem::path gbuffer, albedo;   ///< rasters of surfels/gbuffer.h and optimize/albedo.h
   std::optional<Vec3d> flash_in_world;     ///< absent: taken without one
+  // What blending found (blend/blend.h): without it a photograph that it corrected would come back as it was.
+  Vec3f gain = Vec3f::Ones();              ///< its albedo times this agrees with the others
+  Vec2f shift_px = Vec2f::Zero();          ///< it shows things that much to the right of and below where its camera puts them
+  float trust = 1;                         ///< factor of its weight
 };
 
 struct DetailView {
@@ -36,6 +41,9 @@ struct ViewRows {
   std::vector<float> radius;      ///< of the surfel there, project units
   std::vector<Vec3f> albedo;      ///< of the points
 };
+
+/// Memory of sharpening() beside its arguments.
+std::uint64_t sharpening_bytes(std::size_t pixels, std::span<const DetailPhotograph> photographs);
 
 /// Sharpened albedo of the rows over `albedo`, per pixel and channel; 1 where no photograph helps. Memory: some rows of one photograph at a time.
 /// throws Error if a raster is missing, damaged, or of another size than its camera.

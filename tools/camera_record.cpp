@@ -56,7 +56,8 @@ stream::Camera camera_from(const Json& j, const std::filesystem::path& file) {
 void write_camera_record(const std::filesystem::path& file, const std::vector<PhotographCamera>& cameras) {
   Json list = Json::array();
   for (const PhotographCamera& c : cameras) {
-    list.push_back({{"photograph", c.camera.photograph}, {"acquisition", c.acquisition}, {"lens", lens_json(c.camera.lens)}, {"pose", pose_json(c.camera.pose)}});
+    list.push_back({{"photograph", c.camera.photograph}, {"acquisition", c.acquisition}, {"lens", lens_json(c.camera.lens)}, {"pose", pose_json(c.camera.pose)},
+                    {"gain", numbers_json(c.gain)}, {"shift_px", numbers_json(c.shift_px)}, {"trust", c.trust}});
     if (c.flash_in_camera) list.back()["flash_in_camera"] = numbers_json(std::span(c.flash_in_camera->data(), 3));
   }
   write_text(file, Json{{"cameras", list}}.dump(1) + "\n");
@@ -67,7 +68,7 @@ std::vector<PhotographCamera> read_camera_record(const std::filesystem::path& fi
   std::vector<PhotographCamera> cameras;
   try {
     for (const Json& j : root.at("cameras")) {
-      cameras.push_back({j.at("acquisition").get<std::string>(), camera_from(j, file), {}});
+      cameras.push_back({j.at("acquisition").get<std::string>(), camera_from(j, file), {}, j.at("gain").get<std::array<double, 3>>(), j.at("shift_px").get<std::array<double, 2>>(), j.at("trust").get<double>()});
       if (!j.contains("flash_in_camera")) continue;
       const auto offset = j.at("flash_in_camera").get<std::array<double, 3>>();
       cameras.back().flash_in_camera = Vec3d(offset[0], offset[1], offset[2]);

@@ -1,4 +1,5 @@
-#include <nlohmann/json.hpp>
+#include <memory>
+#include <optional>
 #include <ostream>
 
 #include "optimize/proxy_file.h"
@@ -9,20 +10,13 @@
 #include "tools/args.h"
 #include "tools/camera_record.h"
 #include "tools/commands.h"
+#include "tools/report_json.h"
 #include "tools/resources.h"
 #include "tools/run_folder.h"
 #include "tools/views.h"
 
 namespace chiaro::tools {
 namespace {
-
-using Json = nlohmann::ordered_json;
-
-Json read_json(const std::filesystem::path& path) {
-  const Json j = Json::parse(read_text(path), nullptr, false);
-  if (j.is_discarded()) throw Error(concat(path.string(), ": is not JSON"));
-  return j;
-}
 
 /// The lights of the first acquisition that has some, and where its transport lies.
 struct RunLights {
@@ -31,8 +25,9 @@ struct RunLights {
   Vec3d flash_in_camera = Vec3d::Zero();
 };
 
-RunLights read_lights(const RunFolder& folder) {
-  const Json lights = read_json(folder.lights()), project = read_json(folder.project());
+/// Nullopt if the run solved none.
+std::optional<RunLights> read_lights(const RunFolder& folder) {
+  const Json lights = read_json_object(folder.lights()), project = read_json_object(folder.project());
   try {
     for (const Json& a : lights.at("acquisitions")) {
       const Json* found = a.contains("flash_intensity") ? &a : a.contains("photographs") && !a["photographs"].empty() ? &a["photographs"][0] : nullptr;
@@ -53,12 +48,10 @@ RunLights read_lights(const RunFolder& folder) {
   } catch (const nlohmann::json::exception& e) {
     throw Error(concat(folder.lights().string(), ": not the lights of a run: ", e.what()));
   }
-  return {};
+  return std::nullopt;
 }
 
-/// Null if the run solved no lights.
 std::unique_ptr<optimize::RenderLights> load_lights(const RunFolder& folder, const stream::Store& store, const RunLights& lights) {
-  if (lights.acquisition.empty()) return nullptr;
   const std::filesystem::path at = folder.acquisition(lights.acquisition);
   auto loaded = std::make_unique<optimize::RenderLights>(optimize::load_scene(store, at), std::vector<float>(), lights.lights);
   loaded->proxy_albedo = optimize::read_floats(optimize::proxy_albedo_path(at), 3 * loaded->scene.proxy.size());
@@ -72,7 +65,8 @@ std::vector<optimize::DetailPhotograph> load_photographs(const RunFolder& folder
     const std::string key = c.camera.photograph;
     std::optional<Vec3d> flash;
     if (c.flash_in_camera) flash = c.camera.pose.world_from_camera(*c.flash_in_camera);
-    photographs.push_back({std::move(c.camera), folder.gbuffer(key), folder.albedo(key), flash});
+    photographs.push_back({std::move(c.camera), folder.gbuffer(key), folder.albedo(key), flash, Eigen::Map<const Vec3d>(c.gain.data()).cast<float>(),
+                           Eigen::Map<const Vec2d>(c.shift_px.data()).cast<float>(), static_cast<float>(c.trust)});
   }
   return photographs;
 }
@@ -106,9 +100,11 @@ int run_render(std::span<const std::string> words, Console& console) {
   const stream::Layer layer(store, "albedo");
   optimize::RenderOptions options;
   options.mode = only_albedo ? optimize::RenderMode::kAlbedo : only_direct ? optimize::RenderMode::kDirect : optimize::RenderMode::kFull;
-  const RunLights run_lights = read_lights(folder);
-  const std::unique_ptr<optimize::RenderLights> lights = load_lights(folder, store, run_lights);
-  if (!lights && !only_albedo) throw Error(concat(dir, ": the run solved no lights (solve.method = \"none\"); only --albedo can be rendered"));
+  const std::optional<RunLights> found = read_lights(folder);
+  if (!found && !only_albedo) throw Error(concat(dir, ": the run solved no lights (solve.method = \"none\"); only --albedo can be rendered"));
+  std::unique_ptr<optimize::RenderLights> lights;
+  if (found) lights = load_lights(folder, store, *found);
+  const RunLights run_lights = found.value_or(RunLights{});
   std::vector<optimize::DetailPhotograph> photographs;
   if (!only_points) photographs = load_photographs(folder);
   options.sharpen_by = photographs;

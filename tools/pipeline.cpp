@@ -139,7 +139,6 @@ class Pipeline {
         if (shoot.has_flash()) solve_albedo(store, shoot);
     }
     write_lights();
-    record_cameras();
     blend(store);
     residuals(store);
     for (const ExportInput& e : project_.exports) export_layer(store, e);
@@ -494,18 +493,6 @@ class Pipeline {
     }
   }
 
-  /// Of the photographs that have an albedo of their own.
-  void record_cameras() const {
-    std::vector<PhotographCamera> cameras;
-    for (const Shoot& shoot : shoots_)
-      for (const Photo& p : shoot.photos)
-        if (!p.albedo_key.empty()) {
-          cameras.push_back({shoot.acquisition->name, p.camera, {}});
-          if (shoot.has_flash()) cameras.back().flash_in_camera = shoot.acquisition->flash->offset_in_camera;
-        }
-    write_camera_record(folder_.cameras(), cameras);
-  }
-
   void write_lights() {
     Json all = Json::array();
     for (const Shoot& shoot : shoots_) {
@@ -628,6 +615,25 @@ class Pipeline {
     record_.count("samples", info["samples"]);
     for (const auto& n : info["notes"]) note_both(n.get<std::string>());
     record_.set("blending", info.dump());
+    record_cameras(info["photographs"]);
+  }
+
+  /// Of the photographs that are in the result; `found`: what blending says of each, in the same order.
+  void record_cameras(const Json& found) const {
+    std::vector<PhotographCamera> cameras;
+    for (const Shoot& shoot : shoots_)
+      for (const Photo& p : shoot.photos) {
+        if (p.albedo_key.empty()) continue;
+        const Json& blended = found.at(cameras.size());
+        PhotographCamera c{shoot.acquisition->name, p.camera, {}, blended.at("gain").get<std::array<double, 3>>()};
+        if (shoot.has_flash()) c.flash_in_camera = shoot.acquisition->flash->offset_in_camera;
+        if (blended.contains("shift_corrected_px")) {
+          c.shift_px = blended["shift_corrected_px"].get<std::array<double, 2>>();
+          c.trust = blended["trust"];
+        }
+        cameras.push_back(std::move(c));
+      }
+    write_camera_record(folder_.cameras(), cameras);
   }
 
   void residuals(const stream::Store& store) {

@@ -121,6 +121,21 @@ TEST_F(Sharpening, WhatDisagreesWithTheBlendedPointsCountsLittle) {
   EXPECT_NEAR(0.4f * sharpening({lens_of(kSize), {}, {}}, rows_of(95, 10), photographs)[5 * kSize + 100].x(), 0.4f, 0.02f);
 }
 
+TEST_F(Sharpening, ReadsAPhotographAsBlendingCorrectedIt) {
+  std::vector<DetailPhotograph> photographs{photograph("a", [](int x, int y) { return 1.3f * stripes(x - 3, y); })};   // brighter, and 3 pixels to the right
+  photographs[0].gain = Vec3f::Constant(1 / 1.3f);
+  photographs[0].shift_px = Vec2f(3, 0);
+  const std::vector<Vec3f> factors = sharpening({lens_of(kSize), {}, {}}, rows_of(60, 70), photographs);
+  for (int y = 0; y < 70; ++y)
+    for (int x = 8; x < kSize - 8; ++x) ASSERT_NEAR(0.4f * factors[static_cast<std::size_t>(y * kSize + x)].x(), stripes(x, y), 0.005) << x << " " << y;
+}
+
+TEST_F(Sharpening, BelievesAPhotographOfLittleTrustLess) {
+  std::vector<DetailPhotograph> photographs{photograph("a", [](int, int) { return 0.35f; }), photograph("b", [](int, int) { return 0.45f; })};
+  photographs[1].trust = 0.01f;
+  EXPECT_NEAR(0.4f * sharpening({lens_of(kSize), {}, {}}, rows_of(95, 10), photographs)[5 * kSize + 100].x(), 0.35f, 0.005f);
+}
+
 TEST_F(Sharpening, RefusesRastersOfAnotherSize) {
   const std::vector<DetailPhotograph> photographs{photograph("a", stripes, 0, kSize / 2)};
   EXPECT_THROW(sharpening({lens_of(kSize), {}, {}}, rows_of(60, 70), photographs), Error);

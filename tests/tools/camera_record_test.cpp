@@ -22,6 +22,9 @@ std::vector<PhotographCamera> two_cameras() {
   b.camera.photograph = "photo_01";
   b.camera.lens.kind = stream::LensKind::kFisheye;
   b.flash_in_camera.reset();
+  b.gain = {1.25, 1.3, 1.0 / 3};
+  b.shift_px = {-2, 0.125};
+  b.trust = 0.4;
   return {a, b};
 }
 
@@ -44,6 +47,7 @@ TEST_F(CameraRecord, ReadsBackWhatWasWritten) {
     EXPECT_TRUE(found[i].camera.pose.rotation_camera_from_world.isApprox(wanted[i].camera.pose.rotation_camera_from_world, 1e-12));
     EXPECT_EQ(found[i].camera.pose.translation_camera_from_world, wanted[i].camera.pose.translation_camera_from_world);
     EXPECT_EQ(found[i].flash_in_camera, wanted[i].flash_in_camera);
+    EXPECT_EQ(std::tie(found[i].gain, found[i].shift_px, found[i].trust), std::tie(wanted[i].gain, wanted[i].shift_px, wanted[i].trust));
   }
 }
 
