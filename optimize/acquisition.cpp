@@ -66,7 +66,7 @@ std::filesystem::path proxy_albedo_path(const std::filesystem::path& folder) { r
 
 std::uint64_t proxy_surfels_within(std::uint64_t bytes, int rays) {
   // hits, sky, floor, smoother, kd-tree, geometry, blocks and tree, one observation, gathered light, means, samples
-  const std::uint64_t per_surfel = static_cast<std::uint64_t>(rays) * 4 + 36 + 36 + 4 + 128 + 24 + 33 + 20 + 58 + 24 + 40 + 40;
+  const std::uint64_t per_surfel = static_cast<std::uint64_t>(rays) * 4 + 36 + 36 + 4 + 128 + 24 + 33 + 20 + 74 + 24 + 40 + 40;
   return bytes / per_surfel;
 }
 
@@ -196,6 +196,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
       result.sky_model = problem.sky().name();
       result.sky_evidence = problem.sky_evidence();
       albedo = problem.albedo();
+      result.errors.push_back(problem.errors());
       if (!result.lights.back().converged)
         result.notes.push_back(concat(input.names[photographs[0]], photographs.size() > 1 ? " and the others of the acquisition" : "", ": the lights had not settled after ", result.outer_iterations,
                                       " iterations, last change ", result.last_change));
@@ -207,6 +208,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
         result.notes.push_back(concat(input.references.size() - problem.num_references(), " reference targets cover no usable pixel and were left out"));
     }
   }
+  result.errors.resize(result.lights.size());
   write_floats(albedo, proxy_albedo_path(folder));
   return result;
 }

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "optimize/error_model.h"
 #include "optimize/floor.h"
 #include "optimize/gather.h"
 #include "optimize/light_solve.h"
@@ -63,6 +64,7 @@ struct AcquisitionResult {
   double last_change = 0;
   std::string sky_model;                   ///< "none", "uniform", "sh1", "sh2", with " coloured" where the sky has a colour of its own, " + floor" where a floor was found
   std::vector<SkyEvidence> sky_evidence;   ///< of the models that kAuto tried
+  std::vector<ErrorModel> errors;          ///< one for each of `lights`
   std::vector<std::string> notes;
 };
 

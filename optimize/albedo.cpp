@@ -20,6 +20,7 @@ constexpr double kPi = std::numbers::pi;
 constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 constexpr int kBandRows = 128;
 constexpr double kImpossible = 2;
+constexpr double kCommon = 0.25;       // of the variance by which photographs disagree, what they have in common beside (measured on two rendered scenes)
 constexpr double kShadowDoubt = 0.7;   // of the flash, where a shadow's edge may be on either side of the pixel
 
 struct PixelAlbedo {
@@ -39,23 +40,6 @@ struct Context {
 };
 
 double square(double v) { return v * v; }
-
-/// Relative change of the pixel to its neighbours, per pixel: what a registration error of one pixel does.
-double gradient(const PhotoBand& band, int x, int y) {
-  double sum = 0;
-  const std::size_t i = band.at(x, y);
-  for (const auto& [dx, dy] : {std::pair{1, 0}, std::pair{0, 1}}) {
-    double best = 0;
-    for (const int sign : {-1, 1}) {
-      if (!band.contains(x + sign * dx, y + sign * dy)) continue;
-      const std::size_t j = band.at(x + sign * dx, y + sign * dy);
-      if (!band.usable(j)) continue;
-      best = std::max(best, std::fabs(static_cast<double>(band.g[j] - band.g[i])));
-    }
-    sum += square(best / std::max(1e-9, static_cast<double>(band.g[i])));
-  }
-  return std::sqrt(sum);
-}
 
 PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   PixelAlbedo out;
@@ -111,9 +95,12 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   const double unshadowed = lights.flash_intensity * std::max(0.0, static_cast<double>(band.normal(i).dot(to_flash)) / std::pow(static_cast<double>(to_flash.norm()), 3));
   const double shadow = kShadowDoubt * static_cast<double>(band.shadow[i]) * std::max(direct, unshadowed - direct) / total_mean;
   const double too_bright = brightest > 1 ? 2 * (1 - 1 / brightest) : 0;
-  const double blur = square(c.options.registration_sigma_px * gradient(band, x, y)) + square(0.3 * sd * static_cast<double>(band.spread[i]));
-  out.sigma = static_cast<float>(std::sqrt(noise + 0.25 * blur + square(shadow) + square(too_bright) + square(c.options.floor)));
-  // Lights, normals, gather and part of the blur are the same for all photographs of a surfel: they do not average out.
+  const ErrorModel& errors = c.options.errors;
+  const double noise_variance = c.photograph.noise.gain * std::max(0.0, static_cast<double>(colour[1])) + square(c.photograph.noise.read_sigma);
+  const double own = square(errors.registration_px * relative_gradient(band, x, y, noise_variance)) + square(errors.spread * sd * static_cast<double>(band.spread[i])) +
+                     square(errors.other_light * (1 - sd)) + square(errors.rest);
+  out.sigma = static_cast<float>(std::sqrt(noise + own + square(shadow) + square(too_bright)));
+  // Lights, normals and part of the rest are the same for all photographs of a surfel: they do not average out.
   const auto terms = static_cast<int>(c.solution.covariance.rows());
   double light = 0;
   if (terms >= 2) {
@@ -133,7 +120,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
     j[terms - 1] = (sg - sf) / std::max(1e-9, lights.bounce);
     light = j.dot(c.solution.covariance * j);
   }
-  out.shared = static_cast<float>(std::sqrt(std::max(0.0, light) + square(sd * tan_flash * c.options.normal_sigma_rad) + square(0.03 * (1 - sd)) + 0.75 * blur));
+  out.shared = static_cast<float>(std::sqrt(std::max(0.0, light) + square(sd * tan_flash * errors.normal_rad) + kCommon * own));
   return out;
 }
 

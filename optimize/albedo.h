@@ -8,9 +8,7 @@
 namespace chiaro::optimize {
 
 struct AlbedoOptions {
-  double normal_sigma_rad = 0.02;          ///< error of normals
-  double registration_sigma_px = 0.3;
-  double floor = 0.005;                    ///< relative error that nothing removes
+  ErrorModel errors;
   bool direct_only = false;                ///< the standard pipeline: no ambient, no bounces
 };
 

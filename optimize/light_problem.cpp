@@ -138,6 +138,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   // With the lights final: the gathered light that the albedo stage reads.
   sweep(solution.lights, albedo, kFirstSweeps, relaxation.share());
   albedo_ = mean_albedo(solution.lights);
+  if (!use_pairs_) errors_ = estimate_errors(samples_, solution.lights);
   return solution;
 }
 
@@ -218,6 +219,10 @@ void LightProblem::add_sample(std::size_t k, const Observation& o, const std::ve
   s.group = group;
   s.photograph = static_cast<std::uint32_t>(k);
   s.flash_photograph = input_.photographs[k].flash_in_camera.has_value();
+  if (const auto flash = flash_in_world(input_, k)) {
+    const Vec3f to_flash = ((*flash - scene_.proxy.origin_in_world).cast<float>() - scene_.proxy.position[i]).normalized(), &normal = scene_.proxy.normal[i];
+    if (const float cosine = normal.dot(to_flash); cosine > 0.05f) s.lean = to_flash / cosine - normal;
+  }
   for (float& t : s.sky) t *= static_cast<float>(ambient_scale(k));
   for (float& t : s.hidden) t *= static_cast<float>(ambient_scale(k));
   samples_.push_back(s);

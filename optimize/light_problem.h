@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <vector>
 
+#include "optimize/error_model.h"
 #include "optimize/light_samples.h"
 #include "optimize/light_step.h"
 #include "optimize/sky_shape.h"
@@ -30,6 +31,7 @@ class LightProblem {
   const std::vector<SkyEvidence>& sky_evidence() const { return sky_evidence_; }
   const std::vector<float>& albedo() const { return albedo_; }
   bool without_bounces() const { return without_bounces_; }
+  const ErrorModel& errors() const { return errors_; }
 
  private:
   bool even_exposures(const Lights& lights);
@@ -59,6 +61,7 @@ class LightProblem {
   std::vector<float> albedo_;
   SkyShape sky_;
   std::vector<SkyEvidence> sky_evidence_;
+  ErrorModel errors_;
   int exposure_rounds_ = 0;
   bool use_pairs_ = false, without_bounces_ = false;
 };

@@ -8,6 +8,7 @@
 #include "stream/base/rng.h"
 
 namespace chiaro::optimize {
+
 std::optional<Vec3d> flash_in_world(const AcquisitionInput& input, std::size_t k) {
   const ObserveInput& p = input.photographs[k];
   if (!p.flash_in_camera) return std::nullopt;
@@ -26,10 +27,13 @@ LightSample sample_of(const Transport& transport, const Observation& o, const st
     for (std::size_t k = 0; k < kSkyTerms; ++k) s.hidden[k] = transport.hidden[i * kSkyTerms + k];
   if (!o.floor_flash.empty()) s.floor_flash = o.floor_flash[i];
   s.variance = o.variance[i];
+  s.noise = o.noise[i];
+  s.gradient = o.gradient[i];
   s.spread = o.spread[i];
   s.tan_flash = o.tan_flash[i];
   return s;
 }
+
 std::vector<std::uint32_t> choose_surfels(const std::vector<std::uint16_t>& times_seen, int at_least, std::size_t count, std::uint64_t seed) {
   std::vector<std::pair<float, std::uint32_t>> order;
   for (std::size_t i = 0; i < times_seen.size(); ++i)

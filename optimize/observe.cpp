@@ -96,6 +96,8 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
   o.flash.assign(n, 0.0f);
   o.spread.assign(n, 0.0f);
   o.variance.assign(n, 0.0f);
+  o.noise.assign(n, 0.0f);
+  o.gradient.assign(n, 0.0f);
   o.tan_flash.assign(n, 0.0f);
   for_each_projected(proxy, input, [&](const PhotoBand& band, const Projected& p) {
     const std::size_t s = p.surfel;
@@ -128,12 +130,13 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
     const Vec3d mean = f.colour / f.weight;
     if (!(mean.minCoeff() > 0)) return;   // darker than the noise: says nothing in logarithms
     const double flash = f.flash / f.weight;
-    double variance = 0;
+    double variance = 0, noise_alone = 0;
     for (int c = 0; c < 3; ++c) {
       const double noise = (input.noise.gain * mean[c] + input.noise.read_sigma * input.noise.read_sigma) * f.squares / (f.weight * f.weight);
       // Scatter of the pixels stands for the image gradient: a shift of kRegistrationPx moves the mean by that share of it.
       const double scatter = std::max(0.0, f.colour2[c] / f.weight - mean[c] * mean[c]);
       const double shift = static_cast<double>(kRegistrationPx / reach);
+      noise_alone += noise / (mean[c] * mean[c]) / 3;
       variance += (noise + scatter * shift * shift) / (mean[c] * mean[c]) / 3;
     }
     o.seen[s] = 1;
@@ -141,6 +144,8 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
     o.flash[s] = static_cast<float>(flash);
     o.spread[s] = flash > 0 ? static_cast<float>(std::sqrt(std::max(0.0, f.flash2 / f.weight - flash * flash)) / flash) : 0.0f;
     o.variance[s] = static_cast<float>(variance);
+    o.noise[s] = static_cast<float>(noise_alone);
+    o.gradient[s] = static_cast<float>(relative_gradient(band, cx, cy, input.noise.gain * mean[1] + input.noise.read_sigma * input.noise.read_sigma));
   });
   return o;
 }
@@ -164,18 +169,18 @@ void cast_flash(const Proxy& proxy, const surfels::Tracer& tracer, const Vec3d& 
 void write_observation(const Observation& o, const std::filesystem::path& path) {
   AtomicFile file(path);
   file.append(o.seen.data(), o.seen.size());
-  for (const auto* v : {&o.radiosity, &o.flash, &o.spread, &o.variance, &o.tan_flash}) file.append(v->data(), v->size() * 4);
+  for (const auto* v : {&o.radiosity, &o.flash, &o.spread, &o.variance, &o.noise, &o.gradient, &o.tan_flash}) file.append(v->data(), v->size() * 4);
   file.commit();
 }
 
 Observation read_observation(const std::filesystem::path& path, std::size_t n) {
   const File file(path, File::Mode::kRead);
-  if (file.size() != n * (1 + 7 * 4)) throw Error(concat(path.string(), ": ", file.size(), " bytes, expected ", n * 29));
+  if (file.size() != n * (1 + 9 * 4)) throw Error(concat(path.string(), ": ", file.size(), " bytes, expected ", n * 37));
   Observation o;
   std::uint64_t at = n;
   o.seen.resize(n);
   file.read_at(0, o.seen.data(), n);
-  for (auto* v : {&o.radiosity, &o.flash, &o.spread, &o.variance, &o.tan_flash}) {
+  for (auto* v : {&o.radiosity, &o.flash, &o.spread, &o.variance, &o.noise, &o.gradient, &o.tan_flash}) {
     v->resize(v == &o.radiosity ? 3 * n : n);
     file.read_at(at, v->data(), v->size() * 4);
     at += v->size() * 4;

@@ -31,6 +31,8 @@ struct Observation {
   std::vector<float> flash;            ///< flash irradiance per unit intensity, 1/unit^2: mean of the same pixels, or at the surfel where unseen
   std::vector<float> spread;           ///< relative standard deviation of the flash irradiance in those pixels
   std::vector<float> variance;         ///< of ln radiosity: pixel noise and what registration does (gradient), mean of the channels
+  std::vector<float> noise;            ///< of `variance`, pixel noise alone
+  std::vector<float> gradient;         ///< relative change of the image at the surfel's middle, 1/px, pixel noise taken off
   std::vector<float> tan_flash;        ///< tangent of the flash's angle of incidence
   std::vector<float> floor_flash;      ///< flash_by_floor() (optimize/floor.h), or empty; kept in a file of its own
 };

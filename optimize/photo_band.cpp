@@ -1,5 +1,8 @@
 #include "optimize/photo_band.h"
 
+#include <algorithm>
+#include <cmath>
+
 namespace chiaro::optimize {
 
 PhotoBand read_band(const stream::RasterReader& radiance, const stream::RasterReader& gbuffer, int y0, int rows) {
@@ -32,6 +35,23 @@ PhotoBand read_band(const stream::RasterReader& radiance, const stream::RasterRe
     band.spread = band.lit = band.shadow = band.flash;
   }
   return band;
+}
+
+double relative_gradient(const PhotoBand& band, int x, int y, double noise_variance) {
+  constexpr double kNoise = 6.2;   // what noise alone makes of it: the larger of two squared differences that share a pixel, along two axes
+  double sum = 0;
+  const std::size_t i = band.at(x, y);
+  for (const auto& [dx, dy] : {std::pair{1, 0}, std::pair{0, 1}}) {
+    double best = 0;
+    for (const int sign : {-1, 1}) {
+      if (!band.contains(x + sign * dx, y + sign * dy)) continue;
+      const std::size_t j = band.at(x + sign * dx, y + sign * dy);
+      if (!band.usable(j)) continue;
+      best = std::max(best, std::fabs(static_cast<double>(band.g[j] - band.g[i])));
+    }
+    sum += best * best;
+  }
+  return std::sqrt(std::max(0.0, sum - kNoise * noise_variance)) / std::max(1e-9, static_cast<double>(band.g[i]));
 }
 
 Vec3f pixel_point(const stream::Camera& camera, const Vec3d& origin_in_world, int x, int y, float depth) {

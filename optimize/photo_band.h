@@ -26,6 +26,9 @@ struct PhotoBand {
 PhotoBand read_band(const stream::RasterReader& radiance, const stream::RasterReader& gbuffer, int y0, int rows);
 inline constexpr std::uint64_t kBandBytesPerPixel = 16 * 4 + 1;
 
+/// Relative change of the pixel to its neighbours, per pixel: what a registration error of one pixel does. noise_variance: of the pixel's value, taken off.
+double relative_gradient(const PhotoBand& band, int x, int y, double noise_variance);
+
 /// Point that a pixel sees, in the scene frame of `origin_in_world`.
 Vec3f pixel_point(const stream::Camera& camera, const Vec3d& origin_in_world, int x, int y, float depth);
 

@@ -38,7 +38,7 @@ using Json = nlohmann::ordered_json;
 using optimize::Method;
 
 /// Part of every key: raise it when a stage's result changes for the same inputs.
-constexpr std::uint64_t kPipelineVersion = 3;
+constexpr std::uint64_t kPipelineVersion = 4;
 
 struct Photo {
   const PhotographInput* input = nullptr;
@@ -399,6 +399,10 @@ class Pipeline {
     return all;
   }
 
+  static Json error_json(const optimize::ErrorModel& e) {
+    return {{"normal_rad", e.normal_rad}, {"registration_px", e.registration_px}, {"other_light", e.other_light}, {"spread", e.spread}, {"rest", e.rest}, {"estimated", e.estimated}};
+  }
+
   static Json light_json(const optimize::AcquisitionResult& r) {
     Json lights = Json::array();
     for (const optimize::LightSolution& s : r.lights) {
@@ -412,7 +416,9 @@ class Pipeline {
                         {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"floor", s.lights.floor}, {"floor_albedo", s.lights.floor_albedo}, {"covariance", covariance}, {"scatter", s.scatter},
                         {"groups", s.groups}, {"samples", s.samples}, {"iterations", s.iterations}, {"converged", s.converged}, {"scale_known", s.scale_known}});
     }
-    return {{"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
+    Json errors = Json::array();
+    for (const optimize::ErrorModel& e : r.errors) errors.push_back(error_json(e));
+    return {{"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
             {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
   }
 
@@ -441,6 +447,7 @@ class Pipeline {
       r.lights.push_back(s);
     }
     for (const Json& e : j["sky_evidence"]) r.sky_evidence.push_back({e["model"].get<std::string>(), e["parameters"].get<int>(), e["criterion"].get<double>()});
+    for (const Json& e : j["errors"]) r.errors.push_back({e["normal_rad"], e["registration_px"], e["other_light"], e["spread"], e["rest"], e["estimated"]});
     r.light_of_photograph = j["light_of_photograph"].get<std::vector<std::size_t>>();
     r.exposures = j["exposures"].get<std::vector<double>>();
     r.proxy_surfels = j["proxy_surfels"];
@@ -469,6 +476,7 @@ class Pipeline {
       const std::filesystem::path pictures = folder_.pictures(photo.input->key), raster = folder_.albedo(photo.input->key);
       const Json info = task("albedo/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr", pictures / "sigma.exr", pictures / "light.exr"}, [&] {
         if (!scene) scene = std::make_unique<optimize::Scene>(optimize::load_scene(store, folder));
+        options.errors = lead.lights.errors[lead.lights.light_of_photograph[k]];
         const Vec3d flash = photo.camera.pose.world_from_camera(a.flash->offset_in_camera);
         const optimize::AlbedoStats s = optimize::solve_albedo(*scene, observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
                                                                {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), lead.lights.exposures[k]}, options, raster, report_);
@@ -513,7 +521,7 @@ class Pipeline {
 
   void describe_lights(const Shoot& shoot, Json& a) const {
     const optimize::AcquisitionResult& lights = shoots_[shoot.lead].lights;
-    const auto one = [&](const optimize::LightSolution& s) {
+    const auto one = [&](const optimize::LightSolution& s, const optimize::ErrorModel& errors) {
       const double ln_sd = s.covariance.rows() > 0 ? std::sqrt(std::max(0.0, s.covariance(0, 0))) : 0;
       const int sky = s.sky_terms;
       const double ambient_sd = sky > 0 ? std::sqrt(std::max(0.0, s.covariance(1, 1))) : 0;
@@ -536,6 +544,7 @@ class Pipeline {
                                {"ambient", {std::max(0.0, s.lights.sky[0] - 2 * ambient_sd), s.lights.sky[0] + 2 * ambient_sd}}}},
                   {"absolute_scale", s.scale_known ? "calibrated" : "from interreflections and a guess of the brightest albedo: trust ratios, not the scale"},
                   {"scatter_of_ln_albedo", s.scatter}, {"samples", s.samples}, {"converged", s.converged}};
+      found["errors"] = error_json(errors);
       found["open_direction"] = to_json(light_spread(s));
       if (s.lights.floor) found["floor_albedo"] = s.lights.floor_albedo;
       return found;
@@ -550,13 +559,14 @@ class Pipeline {
     if (input.flash->intensity_range) a["calibrated_range"] = *input.flash->intensity_range;
     a["references"] = input.references.size();
     if (lights.lights.size() == 1) {
-      a.update(one(lights.lights[0]));
+      a.update(one(lights.lights[0], lights.errors[0]));
       return;
     }
     Json each = Json::array();
     for (std::size_t k = 0; k < shoot.photos.size() && !lights.lights.empty(); ++k) {
       Json j{{"photograph", shoot.photos[k].input->key}};
-      j.update(one(lights.lights[lights.light_of_photograph[shoot.photos[k].index_in_lights]]));
+      const std::size_t which = lights.light_of_photograph[shoot.photos[k].index_in_lights];
+      j.update(one(lights.lights[which], lights.errors[which]));
       each.push_back(j);
     }
     a["photographs"] = each;
