@@ -13,9 +13,9 @@
 namespace chiaro::optimize {
 namespace {
 
-/// Of the factor on gathered light, by where the normals come from. Chosen on rendered scenes of known lights (tower, chamber, vplanes_textured), where 0.03 and
-/// 0.05 left the flash up to 1.8 % off; another scene (niche of tests/scenes) agreed.
-constexpr double kBounceSdGiven = 0.02, kBounceSdEstimated = 0.03;
+/// Of the factor on gathered light. Chosen on rendered scenes of known lights (tower, chamber, vplanes_textured), where 0.03 to
+/// 0.05 left the flash 1 to 1.8 % off; other scenes (niche, crypt of tests/scenes) agreed.
+constexpr double kBounceSd = 0.02;
 
 surfels::Tracer make_tracer(const stream::Store& store, const Proxy& proxy, MemoryBudget& budget) {
   surfels::Tracer tracer(proxy.origin_in_world, budget);
@@ -182,7 +182,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
       }
     }
     for (const auto& photographs : problems) {
-      LightProblem problem(scene, smoother, input, options, photographs, folder, store.manifest().normals_from_file ? kBounceSdGiven : kBounceSdEstimated);
+      LightProblem problem(scene, smoother, input, options, photographs, folder, kBounceSd);
       Lights start = start_lights(input, sky.terms);
       guess_flash(scene, input, folder, start);
       report.begin(problems.size() > 1 ? concat("light ", input.names[photographs[0]]) : "light", static_cast<std::uint64_t>(options.outer_iterations), "iterations");

@@ -10,7 +10,7 @@
 namespace chiaro::stream {
 
 /// Each phase can be repeated from its beginning without changing its result.
-enum class BuildPhase { kStarted, kSpilled, kLeaves, kNormals, kRadii, kInner, kLayers };
+enum class BuildPhase { kStarted, kSpilled, kLeaves, kSurfels, kInner, kLayers };
 
 struct BuildJournal {
   BuildPhase phase = BuildPhase::kStarted;

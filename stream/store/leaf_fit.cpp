@@ -8,6 +8,7 @@
 #include "stream/base/hash.h"
 #include "stream/base/parallel.h"
 #include "stream/store/morton.h"
+#include "stream/store/pending_normal.h"
 #include "stream/store/store_format.h"
 #include "stream/store/surfel_fit.h"
 
@@ -47,8 +48,17 @@ std::vector<std::pair<std::uint32_t, Box3d>> find_leaves(const FitJob& job, cons
 }
 
 // Calls body(chunk, neighbourhood) for the leaves, by workers that take them in Morton order so that they share the cache.
+enum class Look { kPositions, kFirstNormals, kSettledNormals };
+
+std::vector<SurfelBlock> read_as(const FitJob& job, const ChunkEntry& e, Look look) {
+  std::vector<SurfelBlock> blocks = read_blocks(job.geometry, e);
+  if (look == Look::kFirstNormals) forget_pending(blocks);
+  if (look == Look::kSettledNormals) settle(blocks);
+  return blocks;
+}
+
 template <class F>
-void for_each_leaf(const FitJob& job, const char* stage, bool with_normals, MemoryBudget& budget, Reporter& report, const F& body) {
+void for_each_leaf(const FitJob& job, const char* stage, Look look, MemoryBudget& budget, Reporter& report, const F& body) {
   std::uint64_t points = 0, largest = 1;
   for (const std::uint32_t i : job.leaves) {
     points += job.entries[i].count;
@@ -60,7 +70,7 @@ void for_each_leaf(const FitJob& job, const char* stage, bool with_normals, Memo
   const auto workers = static_cast<std::size_t>(std::clamp<std::uint64_t>(budget.free_bytes() / (per_worker + pinned), 1, static_cast<std::uint64_t>(std::clamp(ThreadLimit::current(), 1, 64))));
   const BudgetLease lease(budget, per_worker * workers, "fitting of surfels");
   HaloCache cache(
-      budget, [&](std::uint32_t i) { return make_halo_chunk(i, frame_of(job.manifest, job.entries[i]), read_blocks(job.geometry, job.entries[i]), job.entries[i].count, with_normals); },
+      budget, [&](std::uint32_t i) { return make_halo_chunk(i, frame_of(job.manifest, job.entries[i]), read_as(job, job.entries[i], look), job.entries[i].count, look != Look::kPositions); },
       [&](std::uint32_t i) { return HaloChunk::bytes_for(job.entries[i].count); });
   const Neighbourhood::Find find = [&](const Box3d& box) { return find_leaves(job, box); };
   report.begin(stage, points, "points");
@@ -86,37 +96,64 @@ FitOptions fit_options(const FitJob& job, double radius_spacings) {
   return options;
 }
 
+bool is_estimated(const SurfelBlock& b, std::size_t lane) { return (b.flags[lane] & SurfelBlock::kEstimated) != 0; }
+
+template <class Test>
+bool any_surfel(const std::vector<SurfelBlock>& blocks, std::uint32_t count, const Test& test) {
+  for (std::uint32_t slot = 0; slot < count; ++slot)
+    if (test(blocks[slot / 16], slot % 16)) return true;
+  return false;
+}
+
 }  // namespace
 
 void fit_normals(const FitJob& job, MemoryBudget& budget, Reporter& report) {
   const FitOptions options = fit_options(job, job.estimate_radius_spacings);
-  for_each_leaf(job, "normals", false, budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
-    std::vector<SurfelBlock> blocks = read_blocks(job.geometry, job.entries[chunk]);
+  for_each_leaf(job, "normals", Look::kPositions, budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
     const ChunkEntry& e = job.entries[chunk];
-    const auto estimated = [&](std::uint32_t slot) { return (blocks[slot / 16].flags[slot % 16] & SurfelBlock::kEstimated) != 0; };
-    bool any = false;
-    for (std::uint32_t slot = 0; slot < e.count && !any; ++slot) any = estimated(slot);
-    if (!any) return;
+    std::vector<SurfelBlock> blocks = read_blocks(job.geometry, e);
+    if (!any_surfel(blocks, e.count, [&](const SurfelBlock& b, std::size_t lane) { return is_estimated(b, lane); })) return;
     std::vector<NormalFit> fits;
     fit_normals_of(around, options, fits);
     for (std::uint32_t i = 0; i < fits.size(); ++i) {
       const auto code = encode_normal(fits[i].normal);
+      const auto flags = static_cast<std::uint8_t>(SurfelBlock::kEstimated | (fits[i].isolated ? SurfelBlock::kIsolated : 0) | (fits[i].rough ? kPending : 0));
       for (std::uint32_t slot = around.own().first_slot[i]; slot < around.own().first_slot[i + 1]; ++slot) {
-        if (!estimated(slot)) continue;
         SurfelBlock& b = blocks[slot / 16];
+        if (!is_estimated(b, slot % 16)) continue;
         b.normal_u[slot % 16] = code[0];
         b.normal_v[slot % 16] = code[1];
-        b.flags[slot % 16] = static_cast<std::uint8_t>(SurfelBlock::kEstimated | (fits[i].isolated ? SurfelBlock::kIsolated : 0));
+        b.flags[slot % 16] = flags;
       }
     }
     job.geometry.write_at(e.offset, blocks.data(), geometry_bytes(e.count));
   });
 }
 
+void refine_normals(const FitJob& job, MemoryBudget& budget, Reporter& report) {
+  const FitOptions options = fit_options(job, job.estimate_radius_spacings);
+  for_each_leaf(job, "normals near edges", Look::kFirstNormals, budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
+    const ChunkEntry& e = job.entries[chunk];
+    std::vector<SurfelBlock> blocks = read_blocks(job.geometry, e);
+    if (!any_surfel(blocks, e.count, [&](const SurfelBlock& b, std::size_t lane) { return is_pending(b, lane); })) return;
+    const HaloChunk& own = around.own();
+    const auto pending = [&](std::uint32_t slot) { return is_pending(blocks[slot / 16], slot % 16); };
+    std::vector<std::uint8_t> wanted(own.size, 0);
+    for (std::uint32_t i = 0; i < own.size; ++i)
+      for (std::uint32_t slot = own.first_slot[i]; slot < own.first_slot[i + 1]; ++slot) wanted[i] = static_cast<std::uint8_t>(wanted[i] | pending(slot));
+    std::vector<Vec3f> normals;
+    refine_normals_of(around, options, wanted, normals);
+    for (std::uint32_t i = 0; i < own.size; ++i)
+      for (std::uint32_t slot = own.first_slot[i]; slot < own.first_slot[i + 1]; ++slot)
+        if (pending(slot)) put_pending(blocks[slot / 16], slot % 16, normals[i]);
+    job.geometry.write_at(e.offset, blocks.data(), geometry_bytes(e.count));
+  });
+}
+
 void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report) {
   const FitOptions options = fit_options(job, kRadiusSpacings);
-  for_each_leaf(job, "radii", true, budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
-    std::vector<SurfelBlock> blocks = read_blocks(job.geometry, job.entries[chunk]);
+  for_each_leaf(job, "radii", Look::kSettledNormals, budget, report, [&](std::uint32_t chunk, Neighbourhood& around) {
+    std::vector<SurfelBlock> blocks = read_as(job, job.entries[chunk], Look::kSettledNormals);
     ChunkEntry& e = job.entries[chunk];
     const HaloChunk& own = around.own();
     std::vector<RadiusFit> fits;

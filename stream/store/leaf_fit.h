@@ -1,4 +1,4 @@
-/// Normals, then radii, of all leaves in Morton order; both rewrite the leaves in place and can be repeated.
+/// Normals, then radii, of all leaves in Morton order. They rewrite the leaves in place: after an interruption all are repeated, from the normals on.
 #pragma once
 #include <vector>
 
@@ -18,8 +18,10 @@ struct FitJob {
   double estimate_radius_spacings = 3.5;
 };
 
-/// Normals of surfels flagged kEstimated.
+/// Normals of surfels flagged kEstimated; those that are not flat around are marked.
 void fit_normals(const FitJob& job, MemoryBudget& budget, Reporter& report);
+/// Better ones for those that are marked. They wait (pending_normal.h), as neighbours still look at the first ones, and take their place in fit_radii().
+void refine_normals(const FitJob& job, MemoryBudget& budget, Reporter& report);
 /// Radii, radius_max, spacing and geometry CRC of every leaf.
 void fit_radii(const FitJob& job, MemoryBudget& budget, Reporter& report);
 

@@ -77,7 +77,7 @@ static_assert(HaloChunk::kGroup == kLanes);
 /// Goes through a chunk in groups of consecutive points that share a search. The six nearest are looked for within kNearShare of the usual radius of the
 /// neighbourhood; they say how far each point looks. Fit answers: if kFitsGroups, fit_group() fits what it can of a group from two views, of all points within
 /// kInnerShare of the largest radius at least, and of the others within it; else fit_nearest() from a view of all points up to a distance.
-/// Where these refuse, fit_near() fits a point from a view of all its neighbours, with their numbers among the candidates; then fit_one() from a complete
+/// A Fit with wants() is asked before each search. Where these refuse, fit_near() fits a point from a view of all its neighbours, with their numbers among the candidates; then fit_one() from a complete
 /// list, or it refuses too and gets a larger one.
 template <class Fit>
 class Walker {
@@ -88,17 +88,26 @@ class Walker {
     guess_ = first_guess();
     for (std::uint32_t begin = 0; begin < own_.size;) {
       const std::uint32_t end = run_end(begin, kRun, 8 * guess_, group_.box);
+      if (!wanted(begin, end)) {
+        begin = end;
+        continue;
+      }
       run_radius_ = clamped(kRunShare * guess_);
       around_.gather(group_.box, run_radius_, Fit::kNeedsNormals, of_run_);
       while (begin < end) {
         const std::uint32_t group_end = std::min(end, run_end(begin, kLanes, 3 * guess_, group_.box));
-        run_group(begin, group_end);
+        if (wanted(begin, group_end)) run_group(begin, group_end);
         begin = group_end;
       }
     }
   }
 
  private:
+  bool wanted(std::uint32_t begin, std::uint32_t end) const {
+    if constexpr (requires { fit_.wants(begin, end); }) return fit_.wants(begin, end);
+    else return true;
+  }
+
   float clamped(float radius) const { return std::clamp(radius, options_.max_radius * 1e-6f, options_.max_radius); }
 
   float first_guess() const {

@@ -18,18 +18,20 @@ constexpr double kPlaneGrowth = 1.35;   // residual of the wider plane over the 
 /// The moments at each of the scales; only those that are asked for are summed. Floats lose a millionth, but products of two need care where the plane is
 /// thin: at worst some 0.001 degrees.
 template <class MomentsAt>
-Plane plane_of_scales(const MomentsAt& moments_at) {
+Plane plane_of_scales(const MomentsAt& moments_at, bool& rough) {
   std::size_t narrowest = kScales;
   Moments m;
   do m = moments_at(--narrowest);
   while (narrowest > 0 && m[9] < kEnoughForPlane);
   Plane best = plane_of(m);
+  rough = false;
   if (narrowest == 0) return best;
   if (best.line || best.isolated) return plane_of(moments_at(0));
   const double limit = kPlaneGrowth * kPlaneGrowth * best.variance_off;
   for (std::size_t s = 0; s < narrowest; ++s) {  // the widest first: on flat ground it is the answer
     const Plane wider = plane_of(moments_at(s));
     if (!wider.line && !wider.isolated && wider.variance_off <= limit) return wider;
+    rough = true;
   }
   return best;
 }
@@ -68,7 +70,7 @@ class NormalFitter {
     for (std::size_t lane = 0; lane < group.size(); ++lane) {
       const bool all = group.radius[lane] > 0 && wide_sums.sum[kTerms - 1][lane] <= static_cast<float>(options_.most + 1);
       if (!all || !narrow_.sure[lane] || !normals_.clear[lane]) continue;
-      fits_[group.begin + lane] = {Vec3d(normals_.x[lane], normals_.y[lane], normals_.z[lane]).cast<float>(), false};
+      fits_[group.begin + lane] = {Vec3d(normals_.x[lane], normals_.y[lane], normals_.z[lane]).cast<float>(), false, (rough >> lane & 1) != 0};
       fitted[lane] = true;
     }
   }
@@ -78,14 +80,16 @@ class NormalFitter {
     const float radius = group.radius[at];
     collect_within(view, own_.x[i], own_.y[i], own_.z[i], radius * radius, row_);
     if (row_.num > options_.most) return false;
-    const Plane plane = plane_of_scales([&](std::size_t s) { return moments_within(row_, radius * radius * kScaleOfRadius[s] * kScaleOfRadius[s]); });
+    bool rough = false;
+    const Plane plane = plane_of_scales([&](std::size_t s) { return moments_within(row_, radius * radius * kScaleOfRadius[s] * kScaleOfRadius[s]); }, rough);
     if (plane.line) return false;
-    fits_[i] = normal_of(plane);
+    set(i, plane, rough);
     return true;
   }
 
   bool fit_one(std::uint32_t i, const NeighbourList& list, const Selection&, bool last) {
-    const Plane plane = plane_of_scales([&](std::size_t s) {
+    bool rough = false;
+    const auto moments_at = [&](std::size_t s) {
       Moments m{};
       for (std::size_t k = 0; k < list.size(); ++k) {
         const double x = static_cast<double>(list.x[k]), y = static_cast<double>(list.y[k]), z = static_cast<double>(list.z[k]);
@@ -94,13 +98,19 @@ class NormalFitter {
         for (std::size_t t = 0; t < 10; ++t) m[t] += terms[t];
       }
       return m;
-    });
+    };
+    const Plane plane = plane_of_scales(moments_at, rough);
     if (plane.line && !last) return false;
-    fits_[i] = normal_of(plane);
+    set(i, plane, rough);
     return true;
   }
 
  private:
+  void set(std::size_t i, const Plane& plane, bool rough) {
+    fits_[i] = normal_of(plane);
+    fits_[i].rough = rough && !fits_[i].isolated;
+  }
+
   static LaneFloats limits(const SearchGroup& group, std::size_t scale) {
     LaneFloats limit;
     for (std::size_t lane = 0; lane < kLanes; ++lane) {

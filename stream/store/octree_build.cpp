@@ -18,7 +18,7 @@ namespace chiaro::stream {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr int kAlgorithmVersion = 5;      // part of the key: raise when the same input gives another store
+constexpr int kAlgorithmVersion = 6;      // part of the key: raise when the same input gives another store
 constexpr std::size_t kBlockPoints = 65536;
 constexpr std::uint64_t kMostPartitionPoints = 400'000;
 constexpr double kMaxCoordinate = 1e9;    // project units
@@ -66,8 +66,7 @@ class Builder {
     }
     if (b_.phase < BuildPhase::kSpilled) spill();
     if (b_.phase < BuildPhase::kLeaves) leaves();
-    if (b_.phase < BuildPhase::kNormals) normals();
-    if (b_.phase < BuildPhase::kRadii) radii();
+    if (b_.phase < BuildPhase::kSurfels) surfels();
     if (b_.phase < BuildPhase::kInner) inner();
     if (b_.phase < BuildPhase::kLayers) layers();
     remove_leftovers();
@@ -315,25 +314,23 @@ class Builder {
     return leaves;
   }
 
-  template <class Fit>
-  void fit(const char* index, const Fit& run) {
-    std::vector<ChunkEntry> entries = read_index(part_ / "leaves.bin");
-    const auto leaves = leaves_of(entries);
-    const BudgetLease lease(budget_, entries.size() * (sizeof(ChunkEntry) + 4), "index");
-    File geometry(geometry_path(part_), File::Mode::kReadWrite);
-    run(FitJob{geometry, b_.manifest, entries, leaves, b_.typical_spacing, options_.estimate_radius_spacings});
-    geometry.sync();
-    if (index) write_index(part_ / index, entries);
-  }
-
-  void normals() {
-    if (b_.estimated_normals > 0 && options_.normals != NormalSource::kNone) fit(nullptr, [&](const FitJob& job) { fit_normals(job, budget_, report_); });
-    finish(BuildPhase::kNormals);
-  }
-
-  void radii() {
-    if (options_.normals != NormalSource::kNone) fit("leaves.bin", [&](const FitJob& job) { fit_radii(job, budget_, report_); });
-    finish(BuildPhase::kRadii);
+  // One phase: radii take the place of what refined normals are made from, and a block may have been written in part.
+  void surfels() {
+    if (options_.normals != NormalSource::kNone) {
+      std::vector<ChunkEntry> entries = read_index(part_ / "leaves.bin");
+      const auto leaves = leaves_of(entries);
+      const BudgetLease lease(budget_, entries.size() * (sizeof(ChunkEntry) + 4), "index");
+      File geometry(geometry_path(part_), File::Mode::kReadWrite);
+      const FitJob job{geometry, b_.manifest, entries, leaves, b_.typical_spacing, options_.estimate_radius_spacings};
+      if (b_.estimated_normals > 0) {
+        fit_normals(job, budget_, report_);
+        refine_normals(job, budget_, report_);
+      }
+      fit_radii(job, budget_, report_);
+      geometry.sync();
+      write_index(part_ / "leaves.bin", entries);
+    }
+    finish(BuildPhase::kSurfels);
   }
 
   void inner() {

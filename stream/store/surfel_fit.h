@@ -22,6 +22,7 @@ struct FitOptions {
 struct NormalFit {
   Vec3f normal = Vec3f::UnitZ();  ///< of any length
   bool isolated = false;         ///< fewer than 3 neighbours, or all on a line: the normal is a guess
+  bool rough = false;            ///< not flat around: refine_normals_of() may know better
 };
 
 struct RadiusFit {
@@ -35,6 +36,11 @@ struct RadiusFit {
 /// Normal of the plane through the neighbours and the point, for every distinct position of the chunk; it points away from their centroid. Fitted at
 /// three nested radii, of which the widest is taken that fits as well as the narrowest: edges stay sharp where flat ground is averaged.
 void fit_normals_of(Neighbourhood& around, const FitOptions& options, std::vector<NormalFit>& fits);
+
+/// Better normals for the distinct positions that are wanted (1; others 0): planes through those neighbours only that are turned alike and lie on the plane, which
+/// edges of the surface do not round off. Neighbours are judged by the normals that fit_normals_of() gave them.
+/// source: after the bilateral filter of Fleishman, Drori, Cohen-Or, SIGGRAPH 2003, and Tukey's biweight.
+void refine_normals_of(Neighbourhood& around, const FitOptions& options, const std::vector<std::uint8_t>& wanted, std::vector<Vec3f>& normals);
 
 /// Radius of the disc that covers the point's Voronoi cell in its tangent plane, for every distinct position of the chunk. Neighbours bound the cell by
 /// the plane half-way to them; those on another face (normals more than 60 degrees apart, or far off the plane) do not, unless too few others exist.
