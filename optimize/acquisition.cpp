@@ -152,6 +152,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
   }
   result.light_of_photograph.assign(count, 0);
   result.exposures.assign(count, 1.0);
+  result.strangers.assign(count, false);
   std::vector<std::size_t> with_flash, without_flash;
   for (std::size_t k = 0; k < count; ++k) (input.photographs[k].flash_in_camera ? with_flash : without_flash).push_back(k);
   const SkyShape sky = sky_shape(input.sky);
@@ -193,6 +194,8 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
         if (number == 0 || input.photographs[k].flash_in_camera) result.light_of_photograph[k] = number;
       for (const std::size_t k : photographs)
         if (problem.exposures()[k] != 1) result.exposures[k] = problem.exposures()[k];
+      for (const std::size_t k : photographs)
+        if (problem.strangers_found()[k]) result.strangers[k] = true;
       result.sky_model = problem.sky().name();
       result.sky_evidence = problem.sky_evidence();
       albedo = problem.albedo();
@@ -200,6 +203,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
       if (!result.lights.back().converged)
         result.notes.push_back(concat(input.names[photographs[0]], photographs.size() > 1 ? " and the others of the acquisition" : "", ": the lights had not settled after ", result.outer_iterations,
                                       " iterations, last change ", result.last_change));
+      for (std::string& note : problem.notes(result.lights.back())) result.notes.push_back(std::move(note));
       if (problem.without_bounces())
         result.notes.push_back(concat(input.names[photographs[0]], photographs.size() > 1 ? " and the others of the acquisition show" : " shows",
                                       " no interreflection: bounced light was left out"));

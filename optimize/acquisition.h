@@ -58,6 +58,7 @@ struct AcquisitionResult {
   std::vector<LightSolution> lights;       ///< one for the acquisition (joint), or one per flash photograph (single, adam)
   std::vector<std::size_t> light_of_photograph;
   std::vector<double> exposures;           ///< of each photograph: factor of its brightness that was taken out, 1 where it is like the others (optimize/exposure.h)
+  std::vector<bool> strangers;             ///< of each photograph: it shows something else than the others, and took no part (optimize/exposure.h)
   std::size_t proxy_surfels = 0, proxy_seen = 0;
   double back_share = 0;
   int outer_iterations = 0;

@@ -20,6 +20,7 @@ constexpr double kPi = std::numbers::pi;
 constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 constexpr int kBandRows = 128;
 constexpr double kImpossible = 2;
+constexpr double kBelowBlack = 6;      // deviations of the read noise: darker is no photograph of anything
 constexpr double kCommon = 0.25;       // of the variance by which photographs disagree, what they have in common beside (measured on two rendered scenes)
 constexpr double kShadowDoubt = 0.7;   // of the flash, where a shadow's edge may be on either side of the pixel
 
@@ -74,13 +75,14 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   double noise = 0;
   for (std::size_t ch = 0; ch < 3; ++ch) {
     out.albedo[ch] = static_cast<float>(kPi * static_cast<double>(colour[ch]) / (c.exposure * h[ch]));
-    const double z = std::max(static_cast<double>(colour[ch]), 1e-9);
-    noise += (c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma)) / (z * z) / 3;
+    // What is darker than its noise is known to be dark, and no more: a relative deviation of 1.
+    const double z = std::max(static_cast<double>(colour[ch]), 0.0), variance = c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma);
+    noise += variance / std::max({z * z, variance, 1e-18}) / 3;
   }
   const double sd = direct / total_mean, sg = indirect_mean / total_mean, sf = by_floor / total_mean;
   // No surface gives back twice what it receives: the light at this pixel is not what it is taken for (a shadow's edge, a highlight).
-  const double brightest = static_cast<double>(std::max({out.albedo[0], out.albedo[1], out.albedo[2]}));
-  if (brightest > kImpossible) {
+  const double brightest = static_cast<double>(std::max({out.albedo[0], out.albedo[1], out.albedo[2]})), darkest = static_cast<double>(std::min({colour[0], colour[1], colour[2]}));
+  if (brightest > kImpossible || darkest < -kBelowBlack * c.photograph.noise.read_sigma) {
     PixelAlbedo none;
     none.impossible = true;
     return none;

@@ -19,7 +19,7 @@ struct AlbedoInputs {
 };
 
 struct AlbedoStats {
-  std::uint64_t pixels = 0, pixels_solved = 0, pixels_dark = 0, pixels_above_one = 0, pixels_impossible = 0;   ///< impossible: an albedo above 2, given no value
+  std::uint64_t pixels = 0, pixels_solved = 0, pixels_dark = 0, pixels_above_one = 0, pixels_impossible = 0;   ///< impossible: an albedo above 2, or a radiance below zero by more than its noise, given no value
   double median_sigma = 0;
 };
 

@@ -5,6 +5,7 @@
 
 #include "optimize/albedo_mean.h"
 #include "optimize/exposure.h"
+#include "optimize/light_checks.h"
 #include "optimize/proxy_file.h"
 #include "optimize/radiosity.h"
 #include "stream/base/error.h"
@@ -87,7 +88,7 @@ void guess_flash(const Scene& scene, const AcquisitionInput& input, const std::f
 
 LightProblem::LightProblem(const Scene& scene, const Smoother& smoother, const AcquisitionInput& input, const AcquisitionOptions& options, std::vector<std::size_t> photographs,
                            const std::filesystem::path& folder, double bounce_sd)
-    : bounce_sd_(bounce_sd), scene_(scene), smoother_(smoother), input_(input), options_(options), photographs_(std::move(photographs)), folder_(folder), times_seen_(scene.proxy.size(), 0), exposures_(input.photographs.size(), 1.0) {
+    : bounce_sd_(bounce_sd), scene_(scene), smoother_(smoother), input_(input), options_(options), photographs_(std::move(photographs)), folder_(folder), times_seen_(scene.proxy.size(), 0), exposures_(input.photographs.size(), 1.0), strangers_(input.photographs.size(), false) {
   for (const std::size_t k : photographs_) {
     const Observation o = read(k);
     for (std::size_t i = 0; i < times_seen_.size(); ++i) times_seen_[i] = static_cast<std::uint16_t>(times_seen_[i] + o.seen[i]);
@@ -115,6 +116,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   for (outer = 0; outer < most; ++outer) {
     report.check();
     sweep(solution.lights, albedo, outer < 2 ? kFirstSweeps : kLaterSweeps, relaxation.share());
+    if (outer == 0) look_for_flash(solution.lights);
     const Lights before = solution.lights;
     const LightSolveOptions light_options = current_options(start);
     solution = solve_lights(samples_, current_references(), light_options, before);
@@ -122,7 +124,8 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
     change = light_change(before, solution.lights);
     report.progress(static_cast<std::uint64_t>(std::min(outer + 1, options_.outer_iterations)));
     const bool settled = outer > kBounceCheck && change < kOuterTolerance;
-    const bool evened = exposure_rounds_ < kExposureRounds && outer > kBounceCheck && change < kSettled && even_exposures(solution.lights);
+    const bool estranged = outer == kBounceCheck && leave_out_strangers(solution.lights);
+    const bool evened = estranged || exposure_rounds_ < kExposureRounds && outer > kBounceCheck && change < kSettled && even_exposures(solution.lights);
     bool chose = false, richer = false;
     if (!evened && choose_sky && (change < kSettled || outer + 1 == most) && outer > kBounceCheck) {
       choose_sky = false;
@@ -140,6 +143,29 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   albedo_ = mean_albedo(solution.lights);
   if (!use_pairs_) errors_ = estimate_errors(samples_, solution.lights);
   return solution;
+}
+
+/// Where the flash reaches nothing that is seen, its intensity says nothing about the scale: the ambient light starts from a guess that holds it.
+void LightProblem::look_for_flash(Lights& lights) {
+  lit_ = flash_reaches(samples_);
+  if (lit_ || sky_.terms == 0 || !references_.empty()) return;
+  const double guess = guess_ambient(samples_);
+  if (!(guess > 0)) return;
+  ambient_guess_ = guess;
+  lights.sky[0] = guess;
+}
+
+std::vector<std::string> LightProblem::notes(const LightSolution& solution) const {
+  const std::string who = concat(input_.names[photographs_[0]], photographs_.size() > 1 ? " and the others of the acquisition" : "");
+  return light_notes(input_, samples_, solution, who, use_pairs_, lit_);
+}
+
+/// A photograph of something else takes no part in finding the lights. Returns whether there is one.
+bool LightProblem::leave_out_strangers(const Lights& lights) {
+  if (use_pairs_) return false;
+  const std::vector<bool> found = strangers(samples_, lights, input_.photographs.size());
+  for (std::size_t k = 0; k < found.size(); ++k) strangers_[k] = strangers_[k] || found[k];
+  return std::any_of(found.begin(), found.end(), [](bool b) { return b; });
 }
 
 /// Takes the factor of brightness out of photographs that are clearly off. Returns whether there were any.
@@ -167,6 +193,7 @@ bool LightProblem::even_exposures(const Lights& lights) {
 LightSolveOptions LightProblem::current_options(const Lights& start) const {
   LightSolveOptions o = solve_options(input_, start, !references_.empty(), sky_.terms, use_pairs_, bounce_sd_);
   o.sky_colour = sky_.coloured;
+  o.ambient_guess = ambient_guess_;
   o.floor = sky_.floor;
   if (without_bounces_) o.bounce_mean = o.bounce_sd = 0;
   return o;
@@ -254,7 +281,7 @@ void LightProblem::sweep(const Lights& lights, const std::vector<float>& albedo,
         }
     } else {
       for (const std::uint32_t i : chosen_)
-        if (o.seen[i]) add_sample(k, o, g, i, i);
+        if (o.seen[i] && !strangers_[k]) add_sample(k, o, g, i, i);
     }
     for (ReferenceReading& r : references_)
       if (r.photograph == k) {
@@ -271,7 +298,8 @@ void LightProblem::sweep(const Lights& lights, const std::vector<float>& albedo,
 /// or the iteration overshoots.
 std::vector<float> LightProblem::mean_albedo(const Lights& lights) const {
   AlbedoMean mean(scene_.proxy.size());
-  for (const std::size_t k : photographs_) mean.add(scene_.transport, read(k), read_floats(gathered_path(folder_, k), 3 * scene_.proxy.size()), exposed(lights, ambient_scale(k)));
+  for (const std::size_t k : photographs_)
+    if (!strangers_[k]) mean.add(scene_.transport, read(k), read_floats(gathered_path(folder_, k), 3 * scene_.proxy.size()), exposed(lights, ambient_scale(k)));
   return mean.albedo(nearest_seen_);
 }
 

@@ -2,6 +2,8 @@
 #pragma once
 #include <cstdint>
 #include <filesystem>
+#include <optional>
+#include <string>
 #include <vector>
 
 #include "optimize/error_model.h"
@@ -27,13 +29,19 @@ class LightProblem {
   std::size_t num_references() const { return references_.size(); }
   /// Of the photographs of the input: factors that were taken out.
   const std::vector<double>& exposures() const { return exposures_; }
+  /// Of the photographs of the input: those that show something else than the others (optimize/exposure.h) and took no part.
+  const std::vector<bool>& strangers_found() const { return strangers_; }
   SkyShape sky() const { return sky_; }
   const std::vector<SkyEvidence>& sky_evidence() const { return sky_evidence_; }
   const std::vector<float>& albedo() const { return albedo_; }
   bool without_bounces() const { return without_bounces_; }
   const ErrorModel& errors() const { return errors_; }
+  /// What the photographs leave open or contradict (optimize/light_checks.h).
+  std::vector<std::string> notes(const LightSolution& solution) const;
 
  private:
+  void look_for_flash(Lights& lights);
+  bool leave_out_strangers(const Lights& lights);
   bool even_exposures(const Lights& lights);
   LightSolveOptions current_options(const Lights& start) const;
   bool choose_richer_sky(const Lights& start, LightSolution& solution);
@@ -54,6 +62,7 @@ class LightProblem {
   const std::filesystem::path folder_;
   std::vector<std::uint16_t> times_seen_;
   std::vector<double> exposures_;
+  std::vector<bool> strangers_;
   std::vector<std::uint32_t> nearest_seen_, chosen_;
   std::vector<Pair> pairs_;
   std::vector<ReferenceReading> references_;
@@ -62,8 +71,9 @@ class LightProblem {
   SkyShape sky_;
   std::vector<SkyEvidence> sky_evidence_;
   ErrorModel errors_;
+  std::optional<double> ambient_guess_;
   int exposure_rounds_ = 0;
-  bool use_pairs_ = false, without_bounces_ = false;
+  bool use_pairs_ = false, without_bounces_ = false, lit_ = true;
 };
 
 /// The lights that a search starts from.

@@ -53,6 +53,7 @@ struct LightSolveOptions {
   bool floor = false;                         ///< there is one, of unknown albedo
   std::optional<double> flash_ln_mean, flash_ln_sd;   ///< prior on ln flash_intensity
   bool flash_is_guess = false;                ///< that prior keeps the scale sane and is no knowledge of it
+  std::optional<double> ambient_guess;        ///< prior on sky[0], 35 % wide: where the flash reaches nothing, so that only this holds the scale
   double bounce_mean = 1, bounce_sd = 0.05;   ///< prior on bounce; sd 0 = fixed at the mean
   double information = 1;                     ///< most: share of the samples' information that is independent (pairs overlap)
   double independent_residuals = 2000;        ///< no more of them say something new: what normals, registration and transport get wrong is alike over whole regions

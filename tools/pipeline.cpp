@@ -418,7 +418,7 @@ class Pipeline {
     }
     Json errors = Json::array();
     for (const optimize::ErrorModel& e : r.errors) errors.push_back(error_json(e));
-    return {{"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
+    return {{"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"strangers", r.strangers}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
             {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
   }
 
@@ -450,6 +450,7 @@ class Pipeline {
     for (const Json& e : j["errors"]) r.errors.push_back({e["normal_rad"], e["registration_px"], e["other_light"], e["spread"], e["rest"], e["estimated"]});
     r.light_of_photograph = j["light_of_photograph"].get<std::vector<std::size_t>>();
     r.exposures = j["exposures"].get<std::vector<double>>();
+    r.strangers = j["strangers"].get<std::vector<bool>>();
     r.proxy_surfels = j["proxy_surfels"];
     r.proxy_seen = j["proxy_seen"];
     r.back_share = j["back_share"];
@@ -470,6 +471,10 @@ class Pipeline {
     options.direct_only = project_.method == SolveMethod::kDirect;
     for (Photo& photo : shoot.photos) {
       const std::size_t k = photo.index_in_lights;
+      if (lead.lights.strangers[k]) {
+        leave_out(*photo.input, "it shows something else than the other photographs where they show the same surfaces: another object, or the wrong camera");
+        continue;
+      }
       Hasher h = keyed("albedo");
       h.add(lead.light_key).add(photo.gbuffer_key).add(photo.radiance_key);
       photo.albedo_key = h.hex();
