@@ -7,6 +7,7 @@
 #include <numbers>
 
 #include "optimize/fields.h"
+#include "optimize/flash_place.h"
 #include "optimize/photo_band.h"
 #include "optimize/proxy_file.h"
 #include "stream/base/error.h"
@@ -37,7 +38,7 @@ struct Context {
   const std::vector<float>&gathered, &floor_flash;   ///< floor_flash empty: no floor
   const AlbedoOptions& options;
   double exposure;
-  Vec3f flash;   ///< scene frame of the proxy
+  Vec3f flash, flash_cast;   ///< where it is, and where rays were cast to; scene frame of the proxy
 };
 
 double square(double v) { return v * v; }
@@ -50,6 +51,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   LightSample s;
   s.flash = band.flash[i];
   const Vec3f point = pixel_point(c.photograph.camera, c.scene.proxy.origin_in_world, x, y, band.depth[i]);
+  if (c.flash != c.flash_cast) s.flash *= static_cast<float>(flash_factor(point.cast<double>(), band.normal(i).cast<double>(), c.flash_cast.cast<double>(), c.flash.cast<double>()));
   if (!c.options.direct_only) {
     const Stencil stencil = stencil_at(c.scene.proxy, *c.scene.nearest, point, band.normal(i));
     s.sky = interpolate<kSkyTerms>(stencil, c.scene.transport.sky);
@@ -139,7 +141,8 @@ AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, con
   std::vector<stream::PlaneInfo> planes;
   for (const char* name : names) planes.push_back({name, stream::PlaneType::kF32});
   stream::RasterWriter out(raster, width, height, planes);
-  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.exposure, (flash_in_world - scene.proxy.origin_in_world).cast<float>()};
+  const Vec3d flash = flash_in_world - scene.proxy.origin_in_world;
+  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.exposure, (flash + inputs.flash_shift).cast<float>(), flash.cast<float>()};
   AlbedoStats stats;
   std::vector<float> sigmas;
   report.begin(concat("albedo ", photograph.camera.photograph), static_cast<std::uint64_t>(height), "rows");

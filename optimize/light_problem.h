@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "optimize/error_model.h"
+#include "optimize/flash_place.h"
 #include "optimize/light_samples.h"
 #include "optimize/light_step.h"
 #include "optimize/sky_shape.h"
@@ -31,6 +32,8 @@ class LightProblem {
   const std::vector<double>& exposures() const { return exposures_; }
   /// Of the photographs of the input: those that show something else than the others (optimize/exposure.h) and took no part.
   const std::vector<bool>& strangers_found() const { return strangers_; }
+  /// From where the project has the flash, camera axes, metres; nothing where that explains the photographs well enough.
+  const Vec3d& flash_shift() const { return flash_shift_; }
   SkyShape sky() const { return sky_; }
   const std::vector<SkyEvidence>& sky_evidence() const { return sky_evidence_; }
   const std::vector<float>& albedo() const { return albedo_; }
@@ -43,6 +46,9 @@ class LightProblem {
   void look_for_flash(Lights& lights);
   bool leave_out_strangers(const Lights& lights);
   bool even_exposures(const Lights& lights);
+  std::optional<Vec3d> flash_of(std::size_t k) const;
+  bool move_flash(const LightSolution& solution, const LightSolveOptions& options);
+  void add_place_uncertainty(LightSolution& solution) const;
   LightSolveOptions current_options(const Lights& start) const;
   bool choose_richer_sky(const Lights& start, LightSolution& solution);
   void check_bounces(const LightSolveOptions& options, LightSolution& solution);
@@ -72,7 +78,9 @@ class LightProblem {
   std::vector<SkyEvidence> sky_evidence_;
   ErrorModel errors_;
   std::optional<double> ambient_guess_;
-  int exposure_rounds_ = 0;
+  FlashPlace place_;
+  Vec3d flash_shift_ = Vec3d::Zero();
+  int exposure_rounds_ = 0, place_rounds_ = 0;
   bool use_pairs_ = false, without_bounces_ = false, lit_ = true;
 };
 

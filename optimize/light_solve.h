@@ -37,6 +37,7 @@ struct LightSample {
   float variance = 0, spread = 0, tan_flash = 0;
   float noise = 0, gradient = 0;              ///< of `variance` the pixel noise alone; relative change of the image, 1/px
   Vec3f lean = Vec3f::Zero();                 ///< change of ln(flash) by a turn of the normal, 1/rad: towards the flash, tan_flash long
+  Vec3f flash_by_shift = Vec3f::Zero();       ///< change of ln(flash) by a shift of the flash in camera axes, 1/m
   float trust = 1;                            ///< extra weight, 0..1 (pairs of unlike chroma)
 };
 

@@ -231,5 +231,17 @@ TEST_F(BadInput, ARangeThatHoldsTheTruthIsNotDoubted) {
   EXPECT_THAT(ran.err, testing::Not(HasSubstr("speak against")));
 }
 
+TEST_F(BadInput, AFlashBesideItsPlaceIsFound) {
+  const TinyScene s = scene();
+  edit("scene/project.toml", "offset_in_camera = [0.25, -0.2, 0.02]", "offset_in_camera = [0.29, -0.18, 0.02]");
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("is offset_in_camera right?"));
+  const auto shift = lights().at("flash_shift_m");
+  EXPECT_NEAR(shift[0].get<double>(), -0.04, 0.015);
+  EXPECT_NEAR(shift[1].get<double>(), -0.02, 0.015);
+  EXPECT_LE(error_of(s).absolute, 0.01);
+}
+
 }  // namespace
 }  // namespace chiaro::test
