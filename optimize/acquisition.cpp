@@ -6,6 +6,7 @@
 
 #include "optimize/adam.h"
 #include "optimize/light_problem.h"
+#include "optimize/normal_scatter.h"
 #include "optimize/proxy_file.h"
 #include "optimize/radiosity.h"
 #include "stream/base/error.h"
@@ -16,6 +17,11 @@ namespace {
 /// Of the factor on gathered light. Chosen on rendered scenes of known lights (tower, chamber, vplanes_textured), where 0.03 to
 /// 0.05 left the flash 1 to 1.8 % off; other scenes (niche, crypt of tests/scenes) agreed.
 constexpr double kBounceSd = 0.02;
+/// Where the normals of neighbouring points scatter, the discs that face the camera fill more of its pixels: direct light is overrated by about the square of the scatter,
+/// more where it grazes, and the scale that interreflections give is off by several times that, as they are a fraction of the light. Measured: 9.8 times (vplanes_textured, at
+/// 1, 2 and 5 degrees alike), 5.8 (niche).
+constexpr double kScaleByScatter = 10;
+constexpr double kNotedScatter = 0.035;   ///< two degrees
 
 surfels::Tracer make_tracer(const stream::Store& store, const Proxy& proxy, MemoryBudget& budget) {
   surfels::Tracer tracer(proxy.origin_in_world, budget);
@@ -152,8 +158,14 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
   }
   result.light_of_photograph.assign(count, 0);
   result.exposures.assign(count, 1.0);
+  result.strangers.assign(count, false);
   std::vector<std::size_t> with_flash, without_flash;
   for (std::size_t k = 0; k < count; ++k) (input.photographs[k].flash_in_camera ? with_flash : without_flash).push_back(k);
+  const double scatter = normal_scatter_rad(scene.proxy, *scene.nearest);
+  const double bounce_sd = std::hypot(kBounceSd, kScaleByScatter * scatter * scatter);
+  if (scatter > kNotedScatter)
+    result.notes.push_back(concat("the normals of neighbouring points differ by ", std::lround(scatter * 572.958) / 10.0, " degrees, which makes the lights less certain",
+                                  store.manifest().normals_from_file ? ": cloud.normals = \"estimate\" may give smoother ones than the file's" : ""));
   const SkyShape sky = sky_shape(input.sky);
   result.sky_model = sky.name();
   std::vector<float> albedo(3 * scene.proxy.size(), 0.3f);
@@ -182,7 +194,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
       }
     }
     for (const auto& photographs : problems) {
-      LightProblem problem(scene, smoother, input, options, photographs, folder, kBounceSd);
+      LightProblem problem(scene, smoother, input, options, photographs, folder, bounce_sd);
       Lights start = start_lights(input, sky.terms);
       guess_flash(scene, input, folder, start);
       report.begin(problems.size() > 1 ? concat("light ", input.names[photographs[0]]) : "light", static_cast<std::uint64_t>(options.outer_iterations), "iterations");
@@ -193,6 +205,14 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
         if (number == 0 || input.photographs[k].flash_in_camera) result.light_of_photograph[k] = number;
       for (const std::size_t k : photographs)
         if (problem.exposures()[k] != 1) result.exposures[k] = problem.exposures()[k];
+      for (const std::size_t k : photographs)
+        if (problem.strangers_found()[k]) result.strangers[k] = true;
+      if (const Vec3d& shift = problem.flash_shift(); !shift.isZero()) {
+        result.flash_shift = shift;
+        const auto mm = [&](int axis) { return std::lround(1000 * shift[axis]); };
+        result.notes.push_back(concat("the flash stands ", std::lround(1000 * shift.norm()), " mm from where the project has it, by what the photographs show (right, down, forward: ", mm(0), ", ", mm(1), ", ", mm(2),
+                                      " mm): this was taken into account; is offset_in_camera right?"));
+      }
       result.sky_model = problem.sky().name();
       result.sky_evidence = problem.sky_evidence();
       albedo = problem.albedo();
@@ -200,6 +220,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
       if (!result.lights.back().converged)
         result.notes.push_back(concat(input.names[photographs[0]], photographs.size() > 1 ? " and the others of the acquisition" : "", ": the lights had not settled after ", result.outer_iterations,
                                       " iterations, last change ", result.last_change));
+      for (std::string& note : problem.notes(result.lights.back())) result.notes.push_back(std::move(note));
       if (problem.without_bounces())
         result.notes.push_back(concat(input.names[photographs[0]], photographs.size() > 1 ? " and the others of the acquisition show" : " shows",
                                       " no interreflection: bounced light was left out"));

@@ -44,6 +44,7 @@ struct AcquisitionOptions {
   std::uint64_t seed = 1;
   int outer_iterations = 12;
   std::size_t light_samples = 20000;       ///< surfels that the lights are solved from
+  std::size_t max_light_samples = 400000;  ///< readings of them: with hundreds of photographs that each see a surfel, fewer surfels do
 };
 
 /// What speaks for one model of the ambient light: Bayesian information criterion, smaller is better.
@@ -58,6 +59,8 @@ struct AcquisitionResult {
   std::vector<LightSolution> lights;       ///< one for the acquisition (joint), or one per flash photograph (single, adam)
   std::vector<std::size_t> light_of_photograph;
   std::vector<double> exposures;           ///< of each photograph: factor of its brightness that was taken out, 1 where it is like the others (optimize/exposure.h)
+  Vec3d flash_shift = Vec3d::Zero();       ///< metres, camera axes: the flash stands that far from where the project has it (optimize/flash_place.h)
+  std::vector<bool> strangers;             ///< of each photograph: it shows something else than the others, and took no part (optimize/exposure.h)
   std::size_t proxy_surfels = 0, proxy_seen = 0;
   double back_share = 0;
   int outer_iterations = 0;

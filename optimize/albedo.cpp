@@ -7,6 +7,7 @@
 #include <numbers>
 
 #include "optimize/fields.h"
+#include "optimize/flash_place.h"
 #include "optimize/photo_band.h"
 #include "optimize/proxy_file.h"
 #include "stream/base/error.h"
@@ -20,6 +21,7 @@ constexpr double kPi = std::numbers::pi;
 constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 constexpr int kBandRows = 128;
 constexpr double kImpossible = 2;
+constexpr double kBelowBlack = 6;      // deviations of the read noise: darker is no photograph of anything
 constexpr double kCommon = 0.25;       // of the variance by which photographs disagree, what they have in common beside (measured on two rendered scenes)
 constexpr double kShadowDoubt = 0.7;   // of the flash, where a shadow's edge may be on either side of the pixel
 
@@ -36,7 +38,7 @@ struct Context {
   const std::vector<float>&gathered, &floor_flash;   ///< floor_flash empty: no floor
   const AlbedoOptions& options;
   double exposure;
-  Vec3f flash;   ///< scene frame of the proxy
+  Vec3f flash, flash_cast;   ///< where it is, and where rays were cast to; scene frame of the proxy
 };
 
 double square(double v) { return v * v; }
@@ -49,6 +51,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   LightSample s;
   s.flash = band.flash[i];
   const Vec3f point = pixel_point(c.photograph.camera, c.scene.proxy.origin_in_world, x, y, band.depth[i]);
+  if (c.flash != c.flash_cast) s.flash *= static_cast<float>(flash_factor(point.cast<double>(), band.normal(i).cast<double>(), c.flash_cast.cast<double>(), c.flash.cast<double>()));
   if (!c.options.direct_only) {
     const Stencil stencil = stencil_at(c.scene.proxy, *c.scene.nearest, point, band.normal(i));
     s.sky = interpolate<kSkyTerms>(stencil, c.scene.transport.sky);
@@ -74,13 +77,14 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   double noise = 0;
   for (std::size_t ch = 0; ch < 3; ++ch) {
     out.albedo[ch] = static_cast<float>(kPi * static_cast<double>(colour[ch]) / (c.exposure * h[ch]));
-    const double z = std::max(static_cast<double>(colour[ch]), 1e-9);
-    noise += (c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma)) / (z * z) / 3;
+    // What is darker than its noise is known to be dark, and no more: a relative deviation of 1.
+    const double z = std::max(static_cast<double>(colour[ch]), 0.0), variance = c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma);
+    noise += variance / std::max({z * z, variance, 1e-18}) / 3;
   }
   const double sd = direct / total_mean, sg = indirect_mean / total_mean, sf = by_floor / total_mean;
   // No surface gives back twice what it receives: the light at this pixel is not what it is taken for (a shadow's edge, a highlight).
-  const double brightest = static_cast<double>(std::max({out.albedo[0], out.albedo[1], out.albedo[2]}));
-  if (brightest > kImpossible) {
+  const double brightest = static_cast<double>(std::max({out.albedo[0], out.albedo[1], out.albedo[2]})), darkest = static_cast<double>(std::min({colour[0], colour[1], colour[2]}));
+  if (brightest > kImpossible || darkest < -kBelowBlack * c.photograph.noise.read_sigma) {
     PixelAlbedo none;
     none.impossible = true;
     return none;
@@ -137,7 +141,8 @@ AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, con
   std::vector<stream::PlaneInfo> planes;
   for (const char* name : names) planes.push_back({name, stream::PlaneType::kF32});
   stream::RasterWriter out(raster, width, height, planes);
-  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.exposure, (flash_in_world - scene.proxy.origin_in_world).cast<float>()};
+  const Vec3d flash = flash_in_world - scene.proxy.origin_in_world;
+  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.exposure, (flash + inputs.flash_shift).cast<float>(), flash.cast<float>()};
   AlbedoStats stats;
   std::vector<float> sigmas;
   report.begin(concat("albedo ", photograph.camera.photograph), static_cast<std::uint64_t>(height), "rows");

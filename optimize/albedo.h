@@ -15,11 +15,12 @@ struct AlbedoOptions {
 /// What the light stage left for a photograph.
 struct AlbedoInputs {
   std::filesystem::path gathered, floor_flash;   ///< floor_flash is read where the lights have a floor
+  Vec3d flash_shift = Vec3d::Zero();             ///< in the world: where the flash was found, from where rays were cast to
   double exposure = 1;                           ///< factor of the photograph's brightness to take out
 };
 
 struct AlbedoStats {
-  std::uint64_t pixels = 0, pixels_solved = 0, pixels_dark = 0, pixels_above_one = 0, pixels_impossible = 0;   ///< impossible: an albedo above 2, given no value
+  std::uint64_t pixels = 0, pixels_solved = 0, pixels_dark = 0, pixels_above_one = 0, pixels_impossible = 0;   ///< impossible: an albedo above 2, or a radiance below zero by more than its noise, given no value
   double median_sigma = 0;
 };
 

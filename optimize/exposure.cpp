@@ -21,8 +21,8 @@ struct Reading {
   double ln_albedo;
 };
 
-/// Of surfels that two flash photographs or more have measured.
-std::vector<Reading> readings_of(std::span<const LightSample> samples, const Lights& lights) {
+/// Of surfels that so many flash photographs have measured.
+std::vector<Reading> readings_of(std::span<const LightSample> samples, const Lights& lights, std::size_t least) {
   std::vector<Reading> all, shared;
   for (const LightSample& s : samples) {
     if (!s.flash_photograph) continue;
@@ -38,7 +38,7 @@ std::vector<Reading> readings_of(std::span<const LightSample> samples, const Lig
   for (std::size_t i = 0; i < all.size();) {
     std::size_t e = i + 1;
     while (e < all.size() && all[e].group == all[i].group) ++e;
-    if (e - i >= 2) shared.insert(shared.end(), all.begin() + static_cast<std::ptrdiff_t>(i), all.begin() + static_cast<std::ptrdiff_t>(e));
+    if (e - i >= least) shared.insert(shared.end(), all.begin() + static_cast<std::ptrdiff_t>(i), all.begin() + static_cast<std::ptrdiff_t>(e));
     i = e;
   }
   return shared;
@@ -62,21 +62,27 @@ std::vector<std::vector<double>> differences(const std::vector<Reading>& reading
   return found;
 }
 
-}  // namespace
-
-std::vector<double> unlike_exposures(std::span<const LightSample> samples, const Lights& lights, std::span<const double> known, const ExposureOptions& options) {
-  std::vector<double> factors(known.size(), 1.0), ln_factor(known.size(), 0.0);
-  const std::vector<Reading> readings = readings_of(samples, lights);
-  std::vector<std::size_t> compared;
+/// ln of each photograph's brightness beside the others'; `compared`: those that share enough surfels.
+std::vector<double> brightnesses(const std::vector<Reading>& readings, std::size_t photographs, std::size_t least_surfels, std::vector<std::size_t>& compared) {
+  std::vector<double> ln_factor(photographs, 0.0);
   for (int round = 0; round < kRounds; ++round) {
     std::vector<std::vector<double>> found = differences(readings, ln_factor);
     compared.clear();
     for (std::size_t k = 0; k < found.size(); ++k) {
-      if (found[k].size() < options.least_surfels) continue;
+      if (found[k].size() < least_surfels) continue;
       compared.push_back(k);
       ln_factor[k] += 0.5 * median(found[k]);   // half: two photographs that differ meet in the middle
     }
   }
+  return ln_factor;
+}
+
+}  // namespace
+
+std::vector<double> unlike_exposures(std::span<const LightSample> samples, const Lights& lights, std::span<const double> known, const ExposureOptions& options) {
+  std::vector<double> factors(known.size(), 1.0);
+  std::vector<std::size_t> compared;
+  const std::vector<double> ln_factor = brightnesses(readings_of(samples, lights, 2), known.size(), options.least_surfels, compared);
   if (compared.size() < 3) return factors;
   std::vector<double> values;
   for (const std::size_t k : compared) values.push_back(ln_factor[k]);
@@ -86,6 +92,25 @@ std::vector<double> unlike_exposures(std::span<const LightSample> samples, const
   for (const std::size_t k : compared)
     if (known[k] != 1 || std::fabs(ln_factor[k] - middle) >= limit) factors[k] = std::exp(ln_factor[k] - middle);
   return factors;
+}
+
+std::vector<bool> strangers(std::span<const LightSample> samples, const Lights& lights, std::size_t photographs, const StrangerOptions& options) {
+  const std::vector<Reading> readings = readings_of(samples, lights, 3);
+  std::vector<std::size_t> compared;
+  const std::vector<double> ln_factor = brightnesses(readings, photographs, options.least_surfels, compared);
+  std::vector<std::vector<double>> found = differences(readings, ln_factor);
+  std::vector<double> scatter(photographs, 0.0), typical;
+  for (const std::size_t k : compared) {
+    const double middle = median(found[k]);
+    for (double& v : found[k]) v = std::fabs(v - middle);
+    scatter[k] = 1.4826 * median(found[k]);
+    typical.push_back(scatter[k]);
+  }
+  std::vector<bool> is(photographs, false);
+  if (typical.size() < 3) return is;
+  const double limit = std::max(options.least, options.least_ratio * median(typical));
+  for (std::size_t k = 0; k < photographs; ++k) is[k] = scatter[k] >= limit;
+  return is;
 }
 
 }  // namespace chiaro::optimize

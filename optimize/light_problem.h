@@ -2,9 +2,12 @@
 #pragma once
 #include <cstdint>
 #include <filesystem>
+#include <optional>
+#include <string>
 #include <vector>
 
 #include "optimize/error_model.h"
+#include "optimize/flash_place.h"
 #include "optimize/light_samples.h"
 #include "optimize/light_step.h"
 #include "optimize/sky_shape.h"
@@ -27,14 +30,25 @@ class LightProblem {
   std::size_t num_references() const { return references_.size(); }
   /// Of the photographs of the input: factors that were taken out.
   const std::vector<double>& exposures() const { return exposures_; }
+  /// Of the photographs of the input: those that show something else than the others (optimize/exposure.h) and took no part.
+  const std::vector<bool>& strangers_found() const { return strangers_; }
+  /// From where the project has the flash, camera axes, metres; nothing where that explains the photographs well enough.
+  const Vec3d& flash_shift() const { return flash_shift_; }
   SkyShape sky() const { return sky_; }
   const std::vector<SkyEvidence>& sky_evidence() const { return sky_evidence_; }
   const std::vector<float>& albedo() const { return albedo_; }
   bool without_bounces() const { return without_bounces_; }
   const ErrorModel& errors() const { return errors_; }
+  /// What the photographs leave open or contradict (optimize/light_checks.h).
+  std::vector<std::string> notes(const LightSolution& solution) const;
 
  private:
+  void look_for_flash(Lights& lights);
+  bool leave_out_strangers(const Lights& lights);
   bool even_exposures(const Lights& lights);
+  std::optional<Vec3d> flash_of(std::size_t k) const;
+  bool move_flash(const LightSolution& solution, const LightSolveOptions& options);
+  void add_place_uncertainty(LightSolution& solution) const;
   LightSolveOptions current_options(const Lights& start) const;
   bool choose_richer_sky(const Lights& start, LightSolution& solution);
   void check_bounces(const LightSolveOptions& options, LightSolution& solution);
@@ -54,6 +68,7 @@ class LightProblem {
   const std::filesystem::path folder_;
   std::vector<std::uint16_t> times_seen_;
   std::vector<double> exposures_;
+  std::vector<bool> strangers_;
   std::vector<std::uint32_t> nearest_seen_, chosen_;
   std::vector<Pair> pairs_;
   std::vector<ReferenceReading> references_;
@@ -62,8 +77,11 @@ class LightProblem {
   SkyShape sky_;
   std::vector<SkyEvidence> sky_evidence_;
   ErrorModel errors_;
-  int exposure_rounds_ = 0;
-  bool use_pairs_ = false, without_bounces_ = false;
+  std::optional<double> ambient_guess_;
+  FlashPlace place_;
+  Vec3d flash_shift_ = Vec3d::Zero();
+  int exposure_rounds_ = 0, place_rounds_ = 0;
+  bool use_pairs_ = false, without_bounces_ = false, lit_ = true;
 };
 
 /// The lights that a search starts from.

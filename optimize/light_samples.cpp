@@ -34,14 +34,19 @@ LightSample sample_of(const Transport& transport, const Observation& o, const st
   return s;
 }
 
-std::vector<std::uint32_t> choose_surfels(const std::vector<std::uint16_t>& times_seen, int at_least, std::size_t count, std::uint64_t seed) {
+std::vector<std::uint32_t> choose_surfels(const std::vector<std::uint16_t>& times_seen, int at_least, std::size_t count, std::uint64_t seed, std::size_t most_readings) {
   std::vector<std::pair<float, std::uint32_t>> order;
   for (std::size_t i = 0; i < times_seen.size(); ++i)
     if (times_seen[i] >= at_least) order.emplace_back(uniform01(seed, Purpose::kSampleChoice, i, 0), static_cast<std::uint32_t>(i));
   std::sort(order.begin(), order.end());
   if (order.size() > count) order.resize(count);
   std::vector<std::uint32_t> chosen;
-  for (const auto& [hash, i] : order) chosen.push_back(i);
+  std::size_t readings = 0;
+  for (const auto& [hash, i] : order) {
+    readings += times_seen[i];
+    if (readings > most_readings && !chosen.empty()) break;
+    chosen.push_back(i);
+  }
   std::sort(chosen.begin(), chosen.end());
   return chosen;
 }
@@ -144,6 +149,8 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
   const double mean = colour.mean() / count;
   s.variance = static_cast<float>((photo.noise.gain * mean + photo.noise.read_sigma * photo.noise.read_sigma) / (mean * mean * count));
   const Vec3f middle = point / static_cast<float>(count), n = normal.normalized();
+  reading.place = middle;
+  reading.normal = n;
   reading.stencil = stencil_at(scene.proxy, *scene.nearest, middle, n);
   s.sky = interpolate<kSkyTerms>(reading.stencil, scene.transport.sky);
   for (float& t : s.sky) t *= static_cast<float>(photo.ambient_scale);

@@ -13,7 +13,8 @@ namespace chiaro::optimize {
 LightSample sample_of(const Transport& transport, const Observation& o, const std::vector<float>& gathered, std::size_t i);
 
 /// Surfels that stand for the acquisition in the light solve: seen `at_least` times, chosen by hash so that the choice is even and repeatable.
-std::vector<std::uint32_t> choose_surfels(const std::vector<std::uint16_t>& times_seen, int at_least, std::size_t count, std::uint64_t seed);
+/// most_readings: fewer are chosen if together they would be seen more often than that.
+std::vector<std::uint32_t> choose_surfels(const std::vector<std::uint16_t>& times_seen, int at_least, std::size_t count, std::uint64_t seed, std::size_t most_readings = SIZE_MAX);
 
 /// Two surfels of one photograph that probably share their albedo.
 struct Pair {
@@ -29,6 +30,7 @@ struct ReferenceReading {
   ReferenceSample reference;
   Stencil stencil;
   std::size_t photograph;
+  Vec3f place, normal;   ///< of its middle, frame of the proxy
 };
 
 /// Absent where the target covers no usable pixel.

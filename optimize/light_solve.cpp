@@ -19,6 +19,7 @@ constexpr double kGatherSd = 0.03;                   ///< relative error of smoo
 constexpr double kShadowSd = 0.02;                   ///< relative error of the gathered light that all places where it prevails share: cuts, unseen surfaces (measured 1.3 %)
 constexpr double kSkyColourSd = 0.5;                 ///< of ln red and ln blue of the ambient light beside green: a candle is 1.2 off, shade -0.3
 constexpr double kFloorAlbedo = 0.3, kFloorSd = 0.3, kWhitestFloor = 0.95;   ///< soil and stone to whitewash
+constexpr double kGuessSd = 0.35;                    ///< relative, of an ambient light guessed from the brightest surfaces
 constexpr double kWhiteSd = 0.1;                     ///< of ln albedo above 1
 constexpr double kCauchy = 2.385;                    ///< 95 % efficiency for normal residuals (Holland & Welsch 1977)
 constexpr std::size_t kGroupGrain = 256;
@@ -67,6 +68,7 @@ VecP derivative(const Lights& x, const LightSample& s, int c, const Layout& layo
 
 struct Normal {
   MatP a = MatP::Zero(), meat = MatP::Zero();
+  MatP limit = MatP::Zero();    ///< curvature of what keeps albedos below 1: it bends the steps, but a bound is no measurement
   VecP g = VecP::Zero();
   VecP shadow = VecP::Zero();   ///< change of g if the gathered light were 1 too large wherever it prevails
 
@@ -74,6 +76,7 @@ struct Normal {
   Normal& operator+=(const Normal& o) {
     a += o.a;
     meat += o.meat;
+    limit += o.limit;
     g += o.g;
     shadow += o.shadow;
     objective += o.objective;
@@ -161,7 +164,7 @@ void add_white_limit(const Deviations& d, double cauchy_scale, int p, Normal& n)
   if (!(d.mean_r > 0)) return;
   constexpr double kWeight = 1 / (kWhiteSd * kWhiteSd);
   const double u2 = kWeight * d.mean_r * d.mean_r / (cauchy_scale * cauchy_scale), w = kWeight / (1.0 + u2);
-  add_outer(n.a, w, d.mean_j, p);
+  add_outer(n.limit, w, d.mean_j, p);
   n.g -= w * d.mean_r * d.mean_j;
   n.objective += 0.5 * cauchy_scale * cauchy_scale * std::log1p(u2);
 }
@@ -226,6 +229,12 @@ void add_priors(const Lights& x, const Lights& weigh, const LightSolveOptions& o
     n.a(0, 0) += w;
     n.g[0] -= w * r;
     n.objective += 0.5 * w * r * r;
+  }
+  if (options.ambient_guess && layout.sky_terms > 0) {
+    const double sd = kGuessSd * *options.ambient_guess, ws = 1.0 / (sd * sd), e = x.sky[0] - *options.ambient_guess;
+    n.a(1, 1) += ws;
+    n.g[1] -= ws * e;
+    n.objective += 0.5 * ws * e * e;
   }
   const int b = layout.bounce();
   const double w = options.bounce_sd > 0 ? 1.0 / (options.bounce_sd * options.bounce_sd) : 1e12, r = x.bounce - options.bounce_mean;
@@ -324,7 +333,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
   LightSolution solution;
   solution.groups = groups.size();
   solution.samples = samples.size();
-  solution.scale_known = (options.flash_ln_mean && !options.flash_is_guess) || !references.empty();
+  solution.scale_known = (options.flash_ln_mean && !options.flash_is_guess && !options.ambient_guess) || !references.empty();
   solution.sky_terms = layout.sky_terms;
   solution.sky_colour = layout.coloured;
   const double information = information_of(groups, options);
@@ -340,6 +349,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
     // Residuals beyond what their weights expect are the model's: the samples say that much less, and as much fewer of them are independent.
     const double dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy)), independent = information / dispersion;
     n.a *= independent / dispersion;
+    n.limit *= independent / dispersion;
     n.g *= independent / dispersion;
     n.shadow *= independent / dispersion;
     n.objective *= independent / dispersion;
@@ -354,7 +364,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
     solution.iterations = it + 1;
     bool pinned = false;   // the sky cannot become darker than black
     if (layout.sky_terms > 0 && x.sky[0] <= 0 && here.g[1] < 0) pinned = true;
-    Eigen::MatrixXd a = whole(here.a, p);
+    Eigen::MatrixXd a = whole(here.a + here.limit, p);
     Eigen::VectorXd g = here.g.head(p);
     for (int k = 0; k < p; ++k) a(k, k) += damping * std::max(a(k, k), 1e-12) + 1e-30;
     if (pinned) {

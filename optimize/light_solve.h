@@ -37,6 +37,7 @@ struct LightSample {
   float variance = 0, spread = 0, tan_flash = 0;
   float noise = 0, gradient = 0;              ///< of `variance` the pixel noise alone; relative change of the image, 1/px
   Vec3f lean = Vec3f::Zero();                 ///< change of ln(flash) by a turn of the normal, 1/rad: towards the flash, tan_flash long
+  Vec3f flash_by_shift = Vec3f::Zero();       ///< change of ln(flash) by a shift of the flash in camera axes, 1/m
   float trust = 1;                            ///< extra weight, 0..1 (pairs of unlike chroma)
 };
 
@@ -53,6 +54,7 @@ struct LightSolveOptions {
   bool floor = false;                         ///< there is one, of unknown albedo
   std::optional<double> flash_ln_mean, flash_ln_sd;   ///< prior on ln flash_intensity
   bool flash_is_guess = false;                ///< that prior keeps the scale sane and is no knowledge of it
+  std::optional<double> ambient_guess;        ///< prior on sky[0], 35 % wide: where the flash reaches nothing, so that only this holds the scale
   double bounce_mean = 1, bounce_sd = 0.05;   ///< prior on bounce; sd 0 = fixed at the mean
   double information = 1;                     ///< most: share of the samples' information that is independent (pairs overlap)
   double independent_residuals = 2000;        ///< no more of them say something new: what normals, registration and transport get wrong is alike over whole regions

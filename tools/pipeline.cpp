@@ -38,7 +38,7 @@ using Json = nlohmann::ordered_json;
 using optimize::Method;
 
 /// Part of every key: raise it when a stage's result changes for the same inputs.
-constexpr std::uint64_t kPipelineVersion = 4;
+constexpr std::uint64_t kPipelineVersion = 5;
 
 struct Photo {
   const PhotographInput* input = nullptr;
@@ -418,7 +418,7 @@ class Pipeline {
     }
     Json errors = Json::array();
     for (const optimize::ErrorModel& e : r.errors) errors.push_back(error_json(e));
-    return {{"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
+    return {{"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"strangers", r.strangers}, {"flash_shift", {r.flash_shift[0], r.flash_shift[1], r.flash_shift[2]}}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
             {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
   }
 
@@ -450,6 +450,8 @@ class Pipeline {
     for (const Json& e : j["errors"]) r.errors.push_back({e["normal_rad"], e["registration_px"], e["other_light"], e["spread"], e["rest"], e["estimated"]});
     r.light_of_photograph = j["light_of_photograph"].get<std::vector<std::size_t>>();
     r.exposures = j["exposures"].get<std::vector<double>>();
+    r.strangers = j["strangers"].get<std::vector<bool>>();
+    for (int i = 0; i < 3; ++i) r.flash_shift[i] = j["flash_shift"][static_cast<std::size_t>(i)];
     r.proxy_surfels = j["proxy_surfels"];
     r.proxy_seen = j["proxy_seen"];
     r.back_share = j["back_share"];
@@ -470,6 +472,10 @@ class Pipeline {
     options.direct_only = project_.method == SolveMethod::kDirect;
     for (Photo& photo : shoot.photos) {
       const std::size_t k = photo.index_in_lights;
+      if (lead.lights.strangers[k]) {
+        leave_out(*photo.input, "it shows something else than the other photographs where they show the same surfaces: another object, or the wrong camera");
+        continue;
+      }
       Hasher h = keyed("albedo");
       h.add(lead.light_key).add(photo.gbuffer_key).add(photo.radiance_key);
       photo.albedo_key = h.hex();
@@ -479,7 +485,7 @@ class Pipeline {
         options.errors = lead.lights.errors[lead.lights.light_of_photograph[k]];
         const Vec3d flash = photo.camera.pose.world_from_camera(a.flash->offset_in_camera);
         const optimize::AlbedoStats s = optimize::solve_albedo(*scene, observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
-                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), lead.lights.exposures[k]}, options, raster, report_);
+                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), photo.camera.pose.rotation_camera_from_world.transpose() * lead.lights.flash_shift, lead.lights.exposures[k]}, options, raster, report_);
         optimize::write_albedo_pictures(raster, pictures);
         return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
       });
@@ -554,6 +560,7 @@ class Pipeline {
     a["proxy_surfels"] = lights.proxy_surfels;
     for (const Photo& p : shoot.photos)
       if (lights.exposures.size() > p.index_in_lights && lights.exposures[p.index_in_lights] != 1) a["exposures"][p.input->key] = lights.exposures[p.index_in_lights];
+    if (const Vec3d& shift = lights.flash_shift; !shift.isZero()) a["flash_shift_m"] = {shift[0], shift[1], shift[2]};
     a["how"] = how_found(shoot);
     const Acquisition& input = *shoot.acquisition;
     if (input.flash->intensity_range) a["calibrated_range"] = *input.flash->intensity_range;

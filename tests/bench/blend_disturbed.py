@@ -16,20 +16,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 
 sys.path.insert(0, str(Path(__file__).parent))
 from blend_figures import Figures, cameras, mean_median, relative  # noqa: E402
-
-
-def read_exr(path):
-    channels = OpenEXR.File(str(path)).channels()
-    return (np.asarray(channels["RGB"].pixels) if "RGB" in channels else np.stack([channels[c].pixels for c in "RGB"], -1)).astype(np.float32)
-
-
-def write_exr(path, picture):
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {"RGB": picture.astype(np.float16)}).write(str(path))
+from scene_copy import link_scene, read_exr, write_exr  # noqa: E402
 
 
 def best_place(figures, camera, k, width, height):
@@ -99,12 +89,9 @@ def main():
                 continue
             name = f"{stem}.{kind.split()[0]}"
             copy, out = words.out / (name + ".scene"), words.out / name
-            shutil.rmtree(copy, ignore_errors=True)
             shutil.rmtree(out, ignore_errors=True)
-            shutil.copytree(scene, copy, ignore=shutil.ignore_patterns("truth", "novel"), copy_function=lambda a, b: Path(b).symlink_to(Path(a).resolve()))
-            subprocess.run(["chmod", "-R", "u+w", copy], check=True)
+            link_scene(scene, copy)
             shutil.copytree(base, out)
-            (copy / folder / f"{stem}.exr").unlink()
             write_exr(copy / folder / f"{stem}.exr", disturbed(picture, kind, place))
             run(words.chiaro, copy / words.project.name, out, words.set)
             after = Figures(scene, out)

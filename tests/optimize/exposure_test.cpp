@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "stream/base/rng.h"
@@ -87,6 +88,40 @@ TEST(Exposure, DoesNotJudgeBetweenTwoNorByFew) {
   for (LightSample& s : dark) s.flash_photograph = s.photograph != 2;
   EXPECT_EQ(unlike_exposures(dark, lights(), kAlike), kAlike) << "photographs without flash take no part";
   EXPECT_EQ(unlike_exposures({}, lights(), kAlike), kAlike);
+}
+
+// The photographs of another object: albedos that have nothing to do with those of the others.
+void replace_photograph(std::vector<LightSample>& samples, std::uint32_t photograph, double ln_spread) {
+  for (std::size_t i = 0; i < samples.size(); ++i)
+    if (samples[i].photograph == photograph)
+      for (float& b : samples[i].radiosity) b *= static_cast<float>(std::exp(ln_spread * normal01(8, Purpose::kTest, i, 0)));
+}
+
+TEST(Strangers, APhotographOfSomethingElseIsFoundAtAnyBrightness) {
+  std::vector<double> factors = kAlike;
+  factors[4] = 3;
+  std::vector<LightSample> samples = samples_of(factors);
+  replace_photograph(samples, 4, 0.4);
+  EXPECT_EQ(strangers(samples, lights(), kPhotographs), (std::vector<bool>{false, false, false, false, true, false}));
+}
+
+TEST(Strangers, ABrighterPhotographIsNone) {
+  std::vector<double> factors = kAlike;
+  factors[4] = 3;
+  EXPECT_EQ(strangers(samples_of(factors), lights(), kPhotographs), std::vector<bool>(kPhotographs, false));
+}
+
+TEST(Strangers, WhereAllPhotographsDisagreeNoneIs) {
+  std::vector<LightSample> samples = samples_of(kAlike);
+  for (std::uint32_t k = 0; k < kPhotographs; ++k) replace_photograph(samples, k, 0.4);
+  EXPECT_EQ(strangers(samples, lights(), kPhotographs), std::vector<bool>(kPhotographs, false));
+}
+
+TEST(Strangers, TwoPhotographsAreNotJudged) {
+  std::vector<LightSample> samples = samples_of(kAlike);
+  samples.erase(std::remove_if(samples.begin(), samples.end(), [](const LightSample& s) { return s.photograph > 1; }), samples.end());
+  replace_photograph(samples, 1, 0.4);
+  EXPECT_EQ(strangers(samples, lights(), 2), std::vector<bool>(2, false));
 }
 
 }  // namespace

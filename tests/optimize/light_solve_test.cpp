@@ -127,6 +127,34 @@ TEST(LightSolve, NoSurfaceReflectsMoreThanItReceives) {
   EXPECT_FALSE(s.scale_known);
 }
 
+// ... and a bound is no measurement: the deviation stays that of the guess.
+TEST(LightSolve, WhatIsOnlyBoundedIsNotKnown) {
+  Truth truth;
+  truth.gathered = 0;
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(3.0);
+  options.flash_ln_sd = 0.35;
+  options.flash_is_guess = true;
+  EXPECT_NEAR(std::sqrt(solve_lights(make_samples(truth, 400), {}, options, start(3, 0.05)).covariance(0, 0)), 0.35, 0.03);
+}
+
+// No flash anywhere: the ambient light is what it was guessed to be, and as uncertain.
+TEST(LightSolve, WithoutAnyFlashAGuessHoldsTheAmbientLight) {
+  Truth truth;
+  truth.gathered = 0;
+  auto samples = make_samples(truth, 400);
+  for (LightSample& s : samples) s.flash = 0;
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(12.0);
+  options.flash_ln_sd = 0.05;
+  options.ambient_guess = 0.3;
+  const LightSolution s = solve_lights(samples, {}, options, start(12, 0.3));
+  EXPECT_FALSE(s.scale_known);
+  EXPECT_NEAR(s.lights.flash_intensity, 12, 0.01);
+  EXPECT_NEAR(s.lights.sky[0], 0.3, 0.1);
+  EXPECT_NEAR(std::sqrt(s.covariance(1, 1)), 0.35 * 0.3, 0.01);
+}
+
 // Scatter of 30 % where 2 % is expected: however many samples there are, they do not outvote the prior.
 TEST(LightSolve, DataThatTheModelDoesNotExplainLeaveThePriorItsSay) {
   Truth truth;

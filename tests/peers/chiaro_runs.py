@@ -18,6 +18,8 @@ class Outcome:
     z_rms: float = np.nan                       # of ln(albedo / truth) over sigma
     z_robust: float = np.nan                    # 1.48 median |z|
     within_two: float = np.nan                  # share of |z| < 2
+    sigma: float = np.nan                       # mean over points
+    code: int = 0                               # of the run's exit
     z_own: float = np.nan                       # 1.48 median of |ln error - its median| over sigma without the flash's sd, which all points share
     core_seconds: float = np.nan
     peak_mib: float = np.nan
@@ -66,22 +68,23 @@ def light_errors(record, truth):
     return rows
 
 
-def run(chiaro, project, out, method, log, options=()):
-    """Runs `method` from scratch into the folder `out`."""
+def run(chiaro, project, out, method, log, options=(), truth=None):
+    """Runs `method` into the folder `out`. truth: folder of what is known, default truth/ beside the project."""
     code, core, peak = timed([str(chiaro), "run", str(project), "--out", str(out), "--quiet", "--set", "solve.method=" + method, *options], log)
-    result = Outcome(core_seconds=core, peak_mib=peak)
+    result = Outcome(core_seconds=core, peak_mib=peak, code=code)
     if code not in (0, 3):
         result.note = "exit %d" % code
         return result
-    scene = Path(project).parent
+    known = Path(truth or Path(project).parent / "truth")
     points = read_ply(Path(out) / "albedo.ply")
-    truth = np.load(scene / "truth/albedo.npy").astype(np.float64)
+    truth = np.load(known / "albedo.npy").astype(np.float64)
     albedo = np.stack([points["albedo_" + c] for c in "rgb"], 1).astype(np.float64)
     seen = np.isfinite(albedo).all(axis=1)
     result.points = int(seen.sum())
     result.error, result.scaled = albedo_errors(albedo, truth)
-    result.lights = light_errors(json.loads((Path(out) / "lights.json").read_text()), json.loads((scene / "truth/lights.json").read_text()))
+    result.lights = light_errors(json.loads((Path(out) / "lights.json").read_text()), json.loads((known / "lights.json").read_text()))
     sigma = points["sigma"][seen].astype(np.float64)
+    result.sigma = float(np.mean(sigma))
     off = np.log(np.maximum(albedo[seen].mean(1), 1e-4) / truth[seen].mean(1))
     own = np.sqrt(np.maximum(sigma ** 2 - np.median([r[1] for r in result.lights]) ** 2, 1e-6))
     result.z_own = float(1.4826 * np.median(np.abs(off - np.median(off)) / own))

@@ -17,7 +17,7 @@ namespace {
 namespace fs = std::filesystem;
 constexpr double kPi = std::numbers::pi;
 constexpr int kSub = 4;   // rays per pixel and side: pixel means like a sensor's
-const Vec3d kFlashInCamera(0.25, -0.2, 0.02), kNovelFlashInCamera(-0.4, -0.1, 0.1);
+const Vec3d kNovelFlashInCamera(-0.4, -0.1, 0.1);
 
 struct View {
   std::string name;
@@ -171,7 +171,7 @@ std::string project_text(const TinySceneOptions& o, const std::vector<View>& vie
   text << "[project]\nname = \"tiny\"\nunit = \"m\"\n\n[cloud]\nfiles = [\"cloud.ply\"]\nnormals = \"auto\"\n\n[[acquisition]]\nname = \"day1\"\nphotographs = [\"photos/photo_*.exr\"]\n"
        << "encoding = \"linear\"\n" << (o.masks ? "masks = \"masks/{stem}.png\"\n" : "") << "cameras = \"sparse\"\nnoise = { gain = " << o.noise_gain << ", read_sigma = " << o.read_sigma << " }\n";
   if (o.flash) {
-    text << "\n[acquisition.flash]\noffset_in_camera = [" << kFlashInCamera.x() << ", " << kFlashInCamera.y() << ", " << kFlashInCamera.z() << "]\n";
+    text << "\n[acquisition.flash]\noffset_in_camera = [" << o.flash_in_camera[0] << ", " << o.flash_in_camera[1] << ", " << o.flash_in_camera[2] << "]\n";
     if (o.write_range) text << "intensity_range = [" << o.intensity_range[0] << ", " << o.intensity_range[1] << "]\n";
   }
   if (o.reference && !views.empty()) text << reference_text(o, views.front());
@@ -212,7 +212,7 @@ TinyScene write_tiny_scene(const fs::path& folder, const TinySceneOptions& optio
   write_cloud(folder / "cloud.ply", options, scene.positions);
   write_cameras(folder / "sparse", options, views);
   for (const View& view : views) {
-    const Rendered picture = render(options, view, kFlashInCamera);
+    const Rendered picture = render(options, view, Vec3d(options.flash_in_camera[0], options.flash_in_camera[1], options.flash_in_camera[2]));
     stream::write_exr(folder / "photos" / (view.name + ".exr"), options.width_px, options.height_px, {"R", "G", "B"}, picture.rgb, false);
     if (options.masks) stream::write_png_srgb8(folder / "masks" / (view.name + ".png"), options.width_px, options.height_px, picture.mask, 1);
   }

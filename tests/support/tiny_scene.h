@@ -29,6 +29,7 @@ struct TinySceneOptions {
   bool masks = true;
   bool reference = false;               ///< a polygon of known albedo in photo_00
   bool flash = true;                    ///< false: no [acquisition.flash]
+  std::array<double, 3> flash_in_camera{0.25, -0.2, 0.02};
   double noise_gain = 1e-5, read_sigma = 1e-4;   ///< declared only; the pictures carry no noise
 };
 

@@ -1,0 +1,247 @@
+/// What photographs cannot tell, and photographs that are not what the project says: a result all the same, with a sigma and a note that say so.
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <sstream>
+
+#include "stream/base/rng.h"
+#include "stream/photo/image_io.h"
+#include "tests/support/run_fixture.h"
+
+namespace chiaro::test {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+
+class BadInput : public RunTest {
+ protected:
+  AlbedoError error_of(const TinyScene& s) const { return albedo_error(read_ply(at("out/albedo.ply")), s.albedo); }
+
+  /// Over the points that have one.
+  double median_sigma() const {
+    const PlyVertices ply = read_ply(at("out/albedo.ply"));
+    std::vector<double> v;
+    for (std::size_t i = 0; i < ply.size(); ++i) {
+      if (ply.column("photos")[i] == 0) continue;
+      EXPECT_TRUE(std::isfinite(ply.column("sigma")[i]) && std::isfinite(ply.column("albedo_g")[i])) << "point " << i;
+      v.push_back(ply.column("sigma")[i]);
+    }
+    std::sort(v.begin(), v.end());
+    return v.empty() ? NAN : v[v.size() / 2];
+  }
+
+  nlohmann::json lights() const { return json("out/lights.json").at("acquisitions").at(0); }
+
+  /// f(value, index of the value) for every value of a photograph.
+  static void change(const TinyScene& s, int photograph, const std::function<float(float, std::size_t)>& f) {
+    const fs::path file = s.folder / "photos" / ("photo_0" + std::to_string(photograph) + ".exr");
+    stream::Image image = stream::read_image(file);
+    for (std::size_t i = 0; i < image.values.size(); ++i) image.values[i] = f(image.values[i], i);
+    stream::write_exr(file, image.width, image.height, {"R", "G", "B"}, image.values, false);
+  }
+};
+
+TEST_F(BadInput, OnePhotographOfAConvexBodySaysHowLittleItTells) {
+  TinySceneOptions options;
+  options.photographs = 1;
+  options.intensity_range = {7, 11};   // sd 11 %
+  const TinyScene s = scene(options);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("photo_00: one photograph does not tell light from albedo by itself: flash known to 11 %"));
+  EXPECT_GT(median_sigma(), 0.1);
+  EXPECT_LE(std::fabs(std::log(error_of(s).factor)), 2 * median_sigma());
+}
+
+TEST_F(BadInput, WithoutAnyCalibrationOnlyRatiosAreClaimed) {
+  TinySceneOptions options;
+  options.photographs = 1;
+  options.write_range = false;
+  const TinyScene s = scene(options);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("albedo is known up to one factor"));
+  EXPECT_THAT(lights()["absolute_scale"].get<std::string>(), HasSubstr("trust ratios"));
+  EXPECT_GT(median_sigma(), 0.3);
+  EXPECT_LE(error_of(s).scaled, 0.05);
+  EXPECT_LE(std::fabs(std::log(error_of(s).factor)), 2 * median_sigma());
+}
+
+/// The flash reaches nothing: photographs of ambient light alone, and a calibrated flash that says nothing about them.
+class Unlit : public BadInput, public testing::WithParamInterface<int> {
+ protected:
+  void expect_ratios(const TinyScene& s, const ProcessResult& ran) {
+    ASSERT_EQ(ran.code, 0) << ran.err;
+    EXPECT_THAT(ran.err, HasSubstr("the flash reaches nothing that is seen"));
+    EXPECT_THAT(lights()["absolute_scale"].get<std::string>(), HasSubstr("trust ratios"));
+    const AlbedoError e = error_of(s);
+    EXPECT_GT(e.seen, s.positions.size() / 5);
+    EXPECT_LE(e.scaled, 0.02);
+    EXPECT_GT(median_sigma(), 0.3);
+    EXPECT_LE(std::fabs(std::log(e.factor)), 2 * median_sigma());
+  }
+};
+INSTANTIATE_TEST_SUITE_P(Photographs, Unlit, testing::Values(1, 3), [](const auto& i) { return std::to_string(i.param); });
+
+TEST_P(Unlit, ByAFlashBehindTheObject) {
+  TinySceneOptions options;
+  options.photographs = GetParam();
+  options.flash_in_camera = {0, 0, 9};
+  const TinyScene s = scene(options);
+  expect_ratios(s, run("out"));
+}
+
+/// ASCII PLY: a square plate half a metre in front of the flash of each photograph, turned towards the object, 0.4 m wide: its shadow covers the sphere.
+std::string plates(const TinyScene& s) {
+  std::string rows;
+  std::size_t count = 0;
+  std::istringstream lines(file_bytes(s.folder / "sparse/images.txt"));
+  for (std::string line; std::getline(lines, line);) {
+    std::istringstream words(line);
+    double id = 0, w = 0, x = 0, y = 0, z = 0;
+    Vec3d t;
+    if (!(words >> id >> w >> x >> y >> z >> t[0] >> t[1] >> t[2])) continue;
+    const Eigen::Map<const Vec3d> offset(s.options.flash_in_camera.data());
+    const Vec3d flash = Eigen::Quaterniond(w, x, y, z).toRotationMatrix().transpose() * (offset - t), n = -flash.normalized();
+    const Vec3d a = n.cross(Vec3d(0, 0, 1)).normalized(), b = n.cross(a);
+    for (int i = 0; i < 1600; ++i, ++count) {
+      const Vec3d p = flash + 0.5 * n + 0.01 * (i % 40 - 19.5) * a + 0.01 * (i / 40 - 19.5) * b;
+      std::ostringstream row;
+      row << p.x() << ' ' << p.y() << ' ' << p.z() << ' ' << n.x() << ' ' << n.y() << ' ' << n.z() << '\n';
+      rows += row.str();
+    }
+  }
+  std::string header = "ply\nformat ascii 1.0\nelement vertex " + std::to_string(count) + "\n";
+  for (const char* name : {"x", "y", "z", "nx", "ny", "nz"}) header += std::string("property float ") + name + "\n";
+  return header + "end_header\n" + rows;
+}
+
+TEST_P(Unlit, InCastShadow) {
+  TinySceneOptions options;
+  options.photographs = GetParam();
+  options.flash_in_camera = {3, 0, 0};   // beside the view, and its plate too
+  options.flash_intensity = 0;           // what the shadow leaves of it
+  const TinyScene s = scene(options);
+  put_bytes(s.folder / "plates.ply", plates(s));
+  edit("scene/project.toml", "files = [\"cloud.ply\"]", "files = [\"cloud.ply\", \"plates.ply\"]");
+  expect_ratios(s, run("out"));
+}
+
+TEST_F(BadInput, AFlashThatDidNotFireIsNoticed) {
+  TinySceneOptions options;
+  options.flash_intensity = 0;
+  scene(options);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("did it fire?"));
+  EXPECT_GT(median_sigma(), 0.5);
+}
+
+TEST_F(BadInput, AmbientLightDarkerThanTheNoiseDoesNoHarm) {
+  TinySceneOptions options;
+  options.ambient_radiance = 2e-4;   // surfaces of albedo 0.5 give back 1e-4
+  options.noise_gain = 0;
+  options.read_sigma = 1e-3;
+  const TinyScene s = scene(options);
+  for (int k = 0; k < 3; ++k)
+    change(s, k, [&](float v, std::size_t i) { return v + static_cast<float>(options.read_sigma * normal01(5, Purpose::kTest, i, static_cast<std::uint32_t>(k))); });
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_NEAR(error_of(s).factor, 1, 0.01);
+  EXPECT_LE(error_of(s).absolute, 0.03);   // 0.021: the noise of the pixels
+  EXPECT_NEAR(lights()["ambient"].get<double>(), options.ambient_radiance, 3 * lights()["ambient_sd"].get<double>() + 1e-4);
+}
+
+TEST_F(BadInput, ValuesBelowBlackAreNoMeasurement) {
+  const TinyScene s = scene();
+  change(s, 0, [](float v, std::size_t) { return -v; });
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_LE(error_of(s).absolute, 0.01);
+  EXPECT_LT(median_sigma(), 0.05);
+}
+
+TEST_F(BadInput, AFifthOfTheValuesBelowBlackLeavesTheOthers) {
+  const TinyScene s = scene();
+  for (int k = 0; k < 3; ++k) change(s, k, [](float v, std::size_t i) { return i % 5 == 0 ? -v : v; });
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_LE(error_of(s).absolute, 0.03);
+  EXPECT_LT(median_sigma(), 0.5);
+}
+
+TEST_F(BadInput, NothingAboveBlackIsAnError) {
+  const TinyScene s = scene();
+  for (int k = 0; k < 3; ++k) change(s, k, [](float v, std::size_t) { return -v; });
+  const ProcessResult ran = run("out");
+  EXPECT_EQ(ran.code, 1);
+  EXPECT_THAT(ran.err, HasSubstr("no surfel of the cloud is seen well enough"));
+}
+
+TEST_F(BadInput, APhotographOfAnotherObjectIsLeftOutAndNamed) {
+  TinySceneOptions options;
+  options.photographs = 5;
+  const TinyScene s = scene(options);
+  TinySceneOptions other = options;
+  other.uniform_paint = true;
+  const TinyScene t = scene(other, "other");
+  stream::Image upside_down = stream::read_image(t.folder / "photos/photo_03.exr");
+  std::reverse(upside_down.values.begin(), upside_down.values.end());
+  stream::write_exr(s.folder / "photos/photo_01.exr", upside_down.width, upside_down.height, {"R", "G", "B"}, upside_down.values, false);
+  const ProcessResult ran = run("out");
+  EXPECT_EQ(ran.code, 3) << ran.err;
+  const auto record = json("out/run.json");
+  ASSERT_EQ(record["left_out"].size(), 1u);
+  EXPECT_EQ(record["left_out"][0]["name"], "photo_01");
+  EXPECT_THAT(record["left_out"][0]["reason"].get<std::string>(), HasSubstr("something else"));
+  EXPECT_EQ(record["counts"]["photographs_used"], 4);
+  EXPECT_LE(error_of(s).absolute, 0.01);
+  EXPECT_NEAR(lights()["ambient"].get<double>(), options.ambient_radiance, 0.02 * options.ambient_radiance);
+}
+
+TEST_F(BadInput, ARangeThatAReferenceContradictsIsNamed) {
+  TinySceneOptions options;
+  options.intensity_range = {10, 12};   // sd 4.6 % around 10.95; the truth is 9
+  options.reference = true;             // known to 1 %
+  const TinyScene s = scene(options);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("speak against the flash's calibrated range of 10 to 12 W/sr"));
+  EXPECT_THAT(ran.err, HasSubstr("by themselves they say 9 W/sr"));
+  EXPECT_LE(error_of(s).absolute, 0.03);
+}
+
+TEST_F(BadInput, ARangeThatWouldMakeSurfacesWhiterThanWhiteIsNamed) {
+  TinySceneOptions options;
+  options.intensity_range = {3, 3.2};   // a third of the truth: albedos up to 2.6
+  const TinyScene s = scene(options);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("speak against the flash's calibrated range of 3 to 3.2 W/sr"));
+}
+
+TEST_F(BadInput, ARangeThatHoldsTheTruthIsNotDoubted) {
+  TinySceneOptions options;
+  options.intensity_range = {7.5, 9.5};
+  options.reference = true;
+  scene(options);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("speak against")));
+}
+
+TEST_F(BadInput, AFlashBesideItsPlaceIsFound) {
+  const TinyScene s = scene();
+  edit("scene/project.toml", "offset_in_camera = [0.25, -0.2, 0.02]", "offset_in_camera = [0.29, -0.18, 0.02]");
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("is offset_in_camera right?"));
+  const auto shift = lights().at("flash_shift_m");
+  EXPECT_NEAR(shift[0].get<double>(), -0.04, 0.015);
+  EXPECT_NEAR(shift[1].get<double>(), -0.02, 0.015);
+  EXPECT_LE(error_of(s).absolute, 0.01);
+}
+
+}  // namespace
+}  // namespace chiaro::test
