@@ -18,6 +18,7 @@
 #include "stream/photo/develop.h"
 #include "stream/photo/image_io.h"
 #include "stream/photo/raster.h"
+#include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
 #include "surfels/gbuffer.h"
 #include "tools/ingest.h"
@@ -112,12 +113,27 @@ class Pipeline {
 
   void ingest() {
     const IngestPlan plan = plan_ingest(run_.project);
+    if (!run_.tasks.is_done("ingest", plan.key, {run_.folder.store()})) require_no_other_layers();
     const Json info = run_.task("ingest", plan.key, {run_.folder.store()}, [&] {
       const IngestOutcome outcome = ingest_cloud(plan, run_.folder.store(), run_.budget, run_.report);
       return Json{{"store_key", outcome.store_key}, {"notes", outcome.notes}};
     });
     for (const auto& n : info.value("notes", Json::array())) run_.record.note(n.get<std::string>());
     for (const auto& file : run_.project.cloud.files) run_.record.input(file, file_fingerprint(file));
+  }
+
+  /// A store that is made anew takes its layers with it. Those that this run does not write would be gone for good.
+  void require_no_other_layers() const {
+    std::string others;
+    try {
+      for (const std::string& name : stream::layer_names(stream::Store(run_.folder.store())))
+        if (name != "input" && name != run_.project.blend.layer) others += concat(others.empty() ? "" : ", ", name);
+    } catch (const Error&) {
+      return;   // no store yet, or none that could be read
+    }
+    if (!others.empty())
+      throw Error(concat(run_.folder.store().string(), ": the cloud, or how it is read, is not what this store was made from, and its layers would be lost: ", others,
+                         ". Choose another --out, or remove them from its folder layers"));
   }
 
   void count_points(const stream::Store& store) {

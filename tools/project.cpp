@@ -9,8 +9,8 @@
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/store/layer.h"
 #include "tools/glob.h"
-#include "tools/project_overrides.h"
 #include "tools/project_toml.h"
 
 namespace chiaro::tools {
@@ -319,13 +319,33 @@ void read_run(const toml::node* node, Project& project) {
     project.seed = static_cast<std::uint64_t>(as_whole(*seed, "run.seed", 0, std::numeric_limits<std::int64_t>::max()));
 }
 
+/// A folder in the store, and a file's name where no export is named.
+void read_layer(const Section& blend, std::string& layer) {
+  const toml::node* node = blend.find("layer");
+  if (!node) return;
+  layer = as_text(*node, "blend.layer");
+  if (!stream::is_layer_name(layer)) fail(*node, "blend.layer: expected letters, digits, '_', '-' and '.', at most 128, no dot in front and neither .part nor .old at the end");
+  if (layer == "input") fail(*node, "blend.layer: \"input\" is the layer of the cloud's own colour");
+}
+
+void read_blend(const toml::node* node, BlendInput& blend) {
+  if (!node) return;
+  const Section section(as_table(*node, "blend"), "blend", {"layer", "reject", "gain", "align"});
+  read_layer(section, blend.layer);
+  if (const toml::node* reject = section.find("reject")) blend.reject = as_switch(*reject, "blend.reject");
+  if (const toml::node* align = section.find("align")) blend.align = as_switch(*align, "blend.align");
+  section.choice("gain", blend.gain);
+}
+
 void read_exports(const toml::node* node, Project& project) {
+  for (ExportInput& one : project.exports) one.file = project.blend.layer + ".ply";
   if (!node) return;
   project.exports.clear();
   std::set<std::string> files;
   for (const toml::table* table : as_tables(*node, "export")) {
     const Section section(*table, "export", {"file", "fill"});
     ExportInput one;
+    one.file = project.blend.layer + ".ply";
     // `--set export.fill=true` on a project without [[export]] means the default file.
     if (const toml::node* file = section.find("file")) {
       one.file = as_text(*file, "export.file");
@@ -385,12 +405,7 @@ Project load_project(const fs::path& path, std::span<const std::string> override
     const Section method(as_table(*solve, "solve"), "solve", {"method"});
     method.choice("method", project.method);
   }
-  if (const toml::node* blend = section.find("blend")) {
-    const Section options(as_table(*blend, "blend"), "blend", {"reject", "gain", "align"});
-    if (const toml::node* reject = options.find("reject")) project.blend.reject = as_switch(*reject, "blend.reject");
-    if (const toml::node* align = options.find("align")) project.blend.align = as_switch(*align, "blend.align");
-    options.choice("gain", project.blend.gain);
-  }
+  read_blend(section.find("blend"), project.blend);
   read_run(section.find("run"), project);
   read_exports(section.find("export"), project);
   return project;

@@ -1,5 +1,3 @@
-#include "tools/project_overrides.h"
-
 #include <algorithm>
 #include <vector>
 

@@ -2,6 +2,7 @@
 #pragma once
 #include <algorithm>
 #include <cstdint>
+#include <span>
 #include <string>
 #include <toml++/toml.h>
 #include <vector>
@@ -78,5 +79,8 @@ class Section {
 const toml::table& as_table(const toml::node& node, const std::string& key);
 /// A table, or an array of tables: [acquisition] is one as good as [[acquisition]].
 std::vector<const toml::table*> as_tables(const toml::node& node, const std::string& key);
+
+/// overrides: see load_project(). Their values carry the option as their position. throws UsageError.
+void apply_overrides(toml::table& root, std::span<const std::string> overrides);
 
 }  // namespace chiaro::tools

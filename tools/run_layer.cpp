@@ -1,5 +1,6 @@
 #include "tools/run_layer.h"
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "blend/blend.h"
@@ -41,12 +42,14 @@ class LayerStages {
     h.add(std::uint64_t{run_.project.blend.reject}).add(static_cast<std::uint64_t>(run_.project.blend.gain)).add(std::uint64_t{run_.project.blend.align});
     run_.record.count("photographs_used", photographs.size());
     layer_key_ = h.hex();
-    const Json info = run_.task("blend", layer_key_, {run_.folder.store() / "layers" / "albedo"}, [&] {
+    const std::string layer = run_.project.blend.layer;
+    const Json info = run_.task(RunFolder::blend_task(layer), layer_key_, {run_.folder.store() / "layers" / layer}, [&] {
       blend::BlendOptions options;
+      options.layer = layer;
       options.reject = run_.project.blend.reject;
       options.align = run_.project.blend.align;
       options.gain = blend_gain(run_.project.blend.gain);
-      options.provenance_json = Json{{"method", name_of(run_.project.method)}, {"key", layer_key_}, {"photographs", photographs.size()}}.dump();
+      options.provenance_json = Json{{"method", name_of(run_.project.method)}, {"key", layer_key_}, {"photographs", photographs.size()}, {"acquisitions", acquisitions()}}.dump();
       make_folder(run_.folder.scratch());
       const blend::BlendStats s = blend::blend(store, photographs, options, run_.folder.scratch(), run_.budget, run_.report);
       return Json::parse(blend_record_json(s, photographs));
@@ -58,6 +61,7 @@ class LayerStages {
     for (const auto& n : info["notes"]) run_.note_both(n.get<std::string>());
     run_.record.set("blending", info.dump());
     record_cameras(info["photographs"]);
+    record_layers(store);
   }
 
   void residuals(const stream::Store& store) {
@@ -68,7 +72,7 @@ class LayerStages {
         h.add(layer_key_).add(p.albedo_key);
         const std::filesystem::path picture = run_.folder.pictures(p.input->key) / "residual.exr";
         run_.task("residual/" + p.input->key, h.hex(), {picture}, [&] {
-          const stream::Layer layer(store, "albedo");
+          const stream::Layer layer(store, run_.project.blend.layer);
           const double rms = optimize::write_residual(store, layer, run_.observe_input(shoot, p), run_.folder.albedo(p.input->key), picture, run_.report);
           return Json{{"relative_rms", rms}};
         });
@@ -82,6 +86,7 @@ class LayerStages {
     const Json info = run_.task("export/" + e.file, h.hex(), {file}, [&] {
       ExportOptions options;
       options.file = file;
+      options.layer = run_.project.blend.layer;
       options.fill = e.fill;
       make_folder(run_.folder.scratch());
       const ExportStats s = export_points(store, options, run_.folder.scratch(), run_.budget, run_.report);
@@ -91,6 +96,25 @@ class LayerStages {
   }
 
  private:
+  /// Those with photographs in the result.
+  std::vector<std::string> acquisitions() const {
+    std::vector<std::string> names;
+    for (const Shoot& shoot : shoots_)
+      if (std::any_of(shoot.photos.begin(), shoot.photos.end(), [](const Photo& p) { return !p.albedo_key.empty(); })) names.push_back(shoot.acquisition->name);
+    return names;
+  }
+
+  /// All results that the store holds now, this run's among them.
+  void record_layers(const stream::Store& store) const {
+    Json all = Json::array();
+    for (const std::string& name : stream::layer_names(store)) {
+      if (name == "input") continue;
+      const Json provenance = Json::parse(stream::Layer(store, name).provenance_json(), nullptr, false);
+      all.push_back({{"name", name}, {"this_run", name == run_.project.blend.layer}, {"provenance", provenance.is_discarded() ? Json(nullptr) : provenance}});
+    }
+    run_.record.set("layers", all.dump());
+  }
+
   /// Of the photographs that are in the result; `found`: what blending says of each, in the same order.
   void record_cameras(const Json& found) const {
     std::vector<PhotographCamera> cameras;
