@@ -330,8 +330,9 @@ void read_layer(const Section& blend, std::string& layer) {
 
 void read_blend(const toml::node* node, BlendInput& blend) {
   if (!node) return;
-  const Section section(as_table(*node, "blend"), "blend", {"layer", "reject", "gain", "align"});
+  const Section section(as_table(*node, "blend"), "blend", {"layer", "keep", "reject", "gain", "align"});
   read_layer(section, blend.layer);
+  if (const toml::node* keep = section.find("keep")) blend.keep = as_switch(*keep, "blend.keep");
   if (const toml::node* reject = section.find("reject")) blend.reject = as_switch(*reject, "blend.reject");
   if (const toml::node* align = section.find("align")) blend.align = as_switch(*align, "blend.align");
   section.choice("gain", blend.gain);

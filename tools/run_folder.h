@@ -27,6 +27,8 @@ struct RunFolder {
   std::filesystem::path gbuffer(const std::string& key) const { return photograph(key) / "gbuffer.raster"; }
   std::filesystem::path albedo(const std::string& key) const { return photograph(key) / "albedo.raster"; }
   std::filesystem::path acquisition(const std::string& name) const { return work() / "acquisitions" / name; }
+  /// Sums of a layer that stay for a later run (blend.keep).
+  std::filesystem::path kept(const std::string& layer) const { return work() / "kept" / layer; }
   std::filesystem::path scratch() const { return work() / "scratch"; }
 };
 

@@ -31,7 +31,7 @@ class LayerStages {
 
   void blend(const stream::Store& store) {
     std::vector<blend::BlendPhotograph> photographs;
-    Hasher h = keyed("blend 4");
+    Hasher h = keyed("blend 5");
     h.add(store.manifest().key);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {
@@ -43,9 +43,11 @@ class LayerStages {
     run_.record.count("photographs_used", photographs.size());
     layer_key_ = h.hex();
     const std::string layer = run_.project.blend.layer;
+    prepare_kept(layer);
     const Json info = run_.task(RunFolder::blend_task(layer), layer_key_, {run_.folder.store() / "layers" / layer}, [&] {
       blend::BlendOptions options;
       options.layer = layer;
+      if (run_.project.blend.keep) options.keep = run_.folder.kept(layer);
       options.reject = run_.project.blend.reject;
       options.align = run_.project.blend.align;
       options.gain = blend_gain(run_.project.blend.gain);
@@ -96,6 +98,14 @@ class LayerStages {
   }
 
  private:
+  /// A layer that was made without its sums is made again with them, where they are wanted; where they are not, they go.
+  void prepare_kept(const std::string& layer) const {
+    std::error_code code;
+    const bool is_there = std::filesystem::exists(run_.folder.kept(layer), code);
+    if (run_.project.blend.keep && !is_there) run_.tasks.forget(RunFolder::blend_task(layer));
+    if (!run_.project.blend.keep && is_there) std::filesystem::remove_all(run_.folder.kept(layer), code);
+  }
+
   /// Those with photographs in the result.
   std::vector<std::string> acquisitions() const {
     std::vector<std::string> names;

@@ -107,6 +107,27 @@ TEST_F(Layers, TwoMethodsLieBesideEachOtherAndEachIsReused) {
     }
 }
 
+TEST_F(Layers, APhotographIsAddedToOneThatWasKept) {
+  scene();
+  const std::vector<std::string> none{"--set", "solve.method=none"};
+  auto with = [&](std::vector<std::string> more) {
+    more.insert(more.end(), none.begin(), none.end());
+    return more;
+  };
+  ASSERT_EQ(run("out", with({"--set", "acquisition.photographs=[\"photos/photo_00.exr\", \"photos/photo_02.exr\"]"})).code, 0);
+  EXPECT_FALSE(fs::exists(at("out/work/kept/albedo/state")));
+  ASSERT_EQ(run("out", with({"--set", "blend.keep=true", "--set", "acquisition.photographs=[\"photos/photo_00.exr\", \"photos/photo_02.exr\"]"})).code, 0);
+  EXPECT_TRUE(fs::exists(at("out/work/kept/albedo/state")));   // it was made again
+  ASSERT_EQ(run("out", with({"--set", "blend.keep=true"})).code, 0);
+  EXPECT_EQ(json("out/run.json")["blending"]["photographs"].size(), 3u);
+  ASSERT_EQ(run("anew", with({})).code, 0);
+  EXPECT_THAT(differences(results("anew"), results("out")), testing::IsEmpty());
+  EXPECT_EQ(json("anew/run.json")["blending"]["leaves_kept"], 0);
+  ASSERT_EQ(run("out", with({})).code, 0);
+  EXPECT_FALSE(fs::exists(at("out/work/kept/albedo")));
+  EXPECT_THAT(differences(results("anew"), results("out")), testing::IsEmpty());
+}
+
 TEST_F(Layers, AreNotLostWithTheirStore) {
   scene({.photographs = 1});
   ASSERT_EQ(run("out", {"--set", "blend.layer=day1"}).code, 0);

@@ -327,7 +327,10 @@ TEST_F(ProjectTest, BlendingHasItsOwnSection) {
   const Project p = load(kValid);
   EXPECT_FALSE(p.blend.reject || p.blend.align);
   EXPECT_EQ(p.blend.gain, BlendGain::kChannels);
-  const Project q = load(kValid, Words{"blend.gain=none", "blend.align=true"});
+  EXPECT_FALSE(p.blend.keep);
+  const Project q = load(kValid, Words{"blend.gain=none", "blend.align=true", "blend.keep=true"});
+  EXPECT_TRUE(q.blend.keep);
+  EXPECT_THAT(complaint(kValid, {"blend.keep=all"}), HasSubstr("blend.keep: expected true or false"));
   EXPECT_EQ(q.blend.gain, BlendGain::kNone);
   EXPECT_TRUE(q.blend.align);
   EXPECT_THAT(complaint(kValid, {"blend.gain=gray"}), HasSubstr("blend.gain: unknown value \"gray\"; did you mean \"grey\"?"));
