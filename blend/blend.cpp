@@ -115,8 +115,10 @@ class Blender {
     if (!has_votes()) return;
     for (const bool known : {true, false})
       for (std::uint32_t k = 0; k < num_photographs(); ++k)
-        if ((kept_ && kept_->photograph(k)) == known) order_.push_back(k);
-    num_known_ = static_cast<std::uint32_t>(std::count_if(order_.begin(), order_.end(), [&](std::uint32_t k) { return kept_ && kept_->photograph(k); }));
+        if ((kept_ && kept_->photograph(k)) == known) {
+          order_.push_back(k);
+          num_known_ += known;
+        }
     votes_key_ = Hasher().add(key_).add_bytes(order_.data(), order_.size() * sizeof(std::uint32_t)).hex();
     votes_.emplace(scratch_ / kVotesFile, votes_key_, shape(0, sizeof(Ballot)));
     std::vector<std::uint32_t> first;
@@ -191,7 +193,8 @@ class Blender {
   }
 
   void keep() {
-    if (!votes_) return;
+    make_folder(options_.keep);
+    if (!votes_) return;   // one photograph alone: nothing to go on from
     BlendState state{options_key(store_, options_), votes_key_, key_, scale_.footprint, scale_.brightness, tolerance_, num_photographs() >= 3, {}};
     for (std::uint32_t k = 0; k < num_photographs(); ++k) state.photographs.push_back({photograph_keys_[k], agreement_.log_gain[k], inspections_[k], alignments_[k]});
     votes_.reset();
@@ -337,18 +340,18 @@ class Blender {
         (k < photographs_.size() ? p.samples : p.rejected) += leaves[leaf].counters[k];
       }
     }
-    for (std::size_t k = 0; k < photographs_.size(); ++k)
-      for (int c = 0; c < 3; ++c) stats.photographs[callers_index_[k]].gain[static_cast<std::size_t>(c)] = std::exp(static_cast<double>(agreement_.log_gain[k][c]));
     for (std::size_t k = 0; k < photographs_.size(); ++k) {
-      stats.photographs[callers_index_[k]].inspection = inspections_[k];
-      stats.photographs[callers_index_[k]].alignment = alignments_[k];
+      PhotographStats& p = stats.photographs[callers_index_[k]];
+      for (int c = 0; c < 3; ++c) p.gain[static_cast<std::size_t>(c)] = std::exp(static_cast<double>(agreement_.log_gain[k][c]));
+      p.inspection = inspections_[k];
+      p.alignment = alignments_[k];
+      stats.photographs_read += was_read_[k] || walk_.photographs_read()[k];
+      stats.samples += p.samples;
     }
-    for (const PhotographStats& p : stats.photographs) stats.samples += p.samples;
     stats.scatter = static_cast<double>(agreement_.scatter);
     stats.chunks_visited = walk_.chunks_visited() + votes_visited_;
     for (std::size_t i = 0; i < leaves.size(); ++i) stats.leaves += sums_->is_written(i);
     stats.leaves_kept = leaves_kept_;
-    for (std::size_t k = 0; k < was_read_.size(); ++k) stats.photographs_read += was_read_[k] || walk_.photographs_read()[k];
     stats.scratch_bytes = scratch_bytes_;
     writer.finish_inner(report_);
     writer.commit();
