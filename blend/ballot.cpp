@@ -45,16 +45,29 @@ Vec3f log_low_of(const Vote& vote) {
 float detail_of(const Vote& vote) { return static_cast<float>(vote.detail) / kDetailSteps; }
 
 void cast_vote(Ballot& ballot, std::uint16_t photograph, const Sample& sample, float brightness) {
-  Vote* least = &ballot.votes[0];
-  for (Vote& v : ballot.votes)
-    if (v.weight < least->weight) least = &v;
   const std::uint16_t weight = quantised(std::log2(sample.weight), kLeastLog2Weight, kWeightSteps);
-  if (weight <= least->weight) return;
+  auto end = std::find_if(ballot.votes.begin(), ballot.votes.end(), [](const Vote& v) { return v.weight == 0; });
+  if (end == ballot.votes.end()) {
+    const auto last = std::min_element(ballot.votes.begin(), end, [](const Vote& a, const Vote& b) { return a.weight != b.weight ? a.weight < b.weight : a.photograph > b.photograph; });
+    if (weight != last->weight ? weight < last->weight : photograph >= last->photograph) return;
+    std::move(last + 1, end, last);
+    --end;
+  }
+  const auto at = std::find_if(ballot.votes.begin(), end, [&](const Vote& v) { return v.photograph > photograph; });
+  std::move_backward(at, end, end + 1);
   const Vec3f log = log_value(sample.low, brightness);
-  *least = {photograph, weight, {}, 0};
-  for (int c = 0; c < 3; ++c) least->low[c] = quantised(log[c], kLeastLog, kLogSteps);
+  *at = {photograph, weight, {}, 0};
+  for (int c = 0; c < 3; ++c) at->low[c] = quantised(log[c], kLeastLog, kLogSteps);
   const float low = sample.low.mean(), detail = low > 0 ? sample.high.mean() / low : 0;
-  least->detail = static_cast<std::int16_t>(std::lround(std::clamp(detail * kDetailSteps, -32767.0f, 32767.0f)));
+  at->detail = static_cast<std::int16_t>(std::lround(std::clamp(detail * kDetailSteps, -32767.0f, 32767.0f)));
+}
+
+Withdrawal withdraw_vote(Ballot& ballot, std::uint16_t photograph) {
+  const bool was_full = ballot.votes.back().weight != 0;
+  const auto kept = std::remove_if(ballot.votes.begin(), ballot.votes.end(), [&](const Vote& v) { return v.weight != 0 && v.photograph == photograph; });
+  const bool had_voted = kept != ballot.votes.end();
+  std::fill(kept, ballot.votes.end(), Vote{});
+  return {had_voted, !(had_voted && was_full)};
 }
 
 std::optional<Majority> majority_of(const Ballot& ballot, std::span<const Vec3f> log_gains, float tolerance) {

@@ -1,6 +1,7 @@
 #include "blend/blend.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstring>
 #include <mutex>
@@ -10,9 +11,12 @@
 #include "blend/accumulate.h"
 #include "blend/agreement.h"
 #include "blend/ballot.h"
+#include "blend/identity.h"
+#include "blend/kept.h"
 #include "blend/leaf_file.h"
 #include "blend/photo_walk.h"
 #include "blend/sample.h"
+#include "blend/write_leaf.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/base/hash.h"
@@ -21,65 +25,6 @@
 namespace chiaro::blend {
 namespace {
 
-/// Content of a raster by its size and its ends: the checksums of all planes stand at the end of the file.
-void add_raster(Hasher& hash, const std::filesystem::path& path) {
-  constexpr std::uint64_t kHead = 8192, kTail = 65536;
-  const File file(path, File::Mode::kRead);
-  const std::uint64_t size = file.size();
-  std::vector<std::byte> bytes(std::min(size, kHead));
-  file.read_at(0, bytes.data(), bytes.size());
-  hash.add(size).add_bytes(bytes.data(), bytes.size());
-  bytes.resize(std::min(size, kTail));
-  file.read_at(size - bytes.size(), bytes.data(), bytes.size());
-  hash.add_bytes(bytes.data(), bytes.size());
-}
-
-/// Everything that the accumulators depend on.
-std::string accumulator_key(const stream::Store& store, const std::vector<const BlendPhotograph*>& photographs, const BlendOptions& options) {
-  Hasher hash;
-  hash.add("blend accumulators 5").add(store.manifest().key).add(std::uint64_t{store.chunks().size()});
-  hash.add(options.low_band_px).add(options.border_px).add(options.high_band_power);
-  hash.add(std::uint64_t{options.reject}).add(static_cast<std::uint64_t>(options.gain)).add(std::uint64_t{options.align});
-  for (const BlendPhotograph* p : photographs) {
-    const stream::Lens& lens = p->camera.lens;
-    hash.add(p->name).add(static_cast<std::uint64_t>(lens.kind));
-    for (const double v : {lens.fx, lens.fy, lens.cx, lens.cy, lens.skew}) hash.add(v);
-    for (const double v : lens.k) hash.add(v);
-    for (const double v : lens.p) hash.add(v);
-    for (int i = 0; i < 9; ++i) hash.add(p->camera.pose.rotation_camera_from_world(i / 3, i % 3));
-    for (int i = 0; i < 3; ++i) hash.add(p->camera.pose.translation_camera_from_world[i]);
-    add_raster(hash, p->gbuffer);
-    add_raster(hash, p->albedo);
-    add_raster(hash, p->radiance);
-  }
-  return hash.hex();
-}
-
-/// The order in which photographs are added: by name, so that the caller's order has no influence on the bits.
-std::vector<const BlendPhotograph*> in_order_of_names(std::span<const BlendPhotograph> photographs) {
-  std::vector<const BlendPhotograph*> sorted;
-  for (const BlendPhotograph& p : photographs) sorted.push_back(&p);
-  std::sort(sorted.begin(), sorted.end(), [](const BlendPhotograph* a, const BlendPhotograph* b) {
-    return a->name != b->name ? a->name < b->name : a->albedo < b->albedo;
-  });
-  return sorted;
-}
-
-/// What lengths and colours are measured against, of all photographs together.
-struct Scale {
-  float footprint = 0, brightness = 0;
-};
-Scale scale_of(const std::vector<const BlendPhotograph*>& photographs, Reporter& report) {
-  OctaveHistogram footprint, brightness;
-  for (const BlendPhotograph* p : photographs) {
-    report.check();
-    const PhotographRasters rasters(p->camera.lens, p->gbuffer, p->albedo, p->radiance);
-    footprint.merge(footprints(rasters));
-    brightness.merge(brightnesses(rasters));
-  }
-  return {footprint.median(), brightness.median()};
-}
-
 constexpr int kLeastMargin = 1;   // for interpolation
 
 class Blender {
@@ -87,20 +32,33 @@ class Blender {
   Blender(const stream::Store& store, std::span<const BlendPhotograph> photographs, const BlendOptions& options, const std::filesystem::path& scratch,
           MemoryBudget& budget, Reporter& report)
       : store_(store), options_(options), scratch_(scratch), budget_(budget), report_(report), photographs_(in_order_of_names(photographs)),
-        scale_(scale_of(photographs_, report)), key_(accumulator_key(store, photographs_, options)),
-        walk_(store, photographs_,
-              {.low_radius = static_cast<float>(options.low_band_px) * scale_.footprint, .reference_footprint = scale_.footprint, .border_px = static_cast<float>(options.border_px)},
-              budget, report) {
-    for (const BlendPhotograph* p : photographs_) callers_index_.push_back(static_cast<std::size_t>(p - photographs.data()));
+        scale_(scale_of(photographs_, report)),
+        window_{.low_radius = static_cast<float>(options.low_band_px) * scale_.footprint, .reference_footprint = scale_.footprint, .border_px = static_cast<float>(options.border_px)},
+        walk_(store, photographs_, window_, budget, report), was_read_(photographs_.size()) {
+    Hasher hash;
+    hash.add(options_key(store, options));
+    for (const BlendPhotograph* p : photographs_) {
+      callers_index_.push_back(static_cast<std::size_t>(p - photographs.data()));
+      photograph_keys_.push_back(photograph_key(*p));
+      hash.add(photograph_keys_.back());
+    }
+    key_ = hash.hex();
   }
 
   BlendStats run() {
+    find_views();
+    require_space();
+    if (!options_.keep.empty() && has_votes()) open_kept();
     collect_votes();
     compare_photographs();
+    find_changed_leaves();
     inspect_photographs();
     sums_.emplace(scratch_ / kSumsFile, key_, shape(2 * num_photographs(), sizeof(Accumulator)));
-    walk_.into(*sums_, "blend", shift_margin(), sizeof(Accumulator) + sizeof(Ballot), [&](const PhotoWalk::Visit& v) { add_to_leaf(v); });
-    return write_layer();
+    take_over_sums();
+    walk_.into(*sums_, "blend", shift_margin(), sizeof(Accumulator) + sizeof(Ballot), [&](const PhotoWalk::Visit& v) { add_to_leaf(v); }, first_sum_);
+    const BlendStats stats = write_layer();
+    if (!options_.keep.empty()) keep();
+    return stats;
   }
 
   static constexpr const char *kVotesFile = "blend.votes", *kSumsFile = "blend.sums";
@@ -114,21 +72,135 @@ class Blender {
     return s;
   }
 
-  std::vector<Sample> samples_of(const PhotoWalk::Visit& v, const Vec2f& shift_px) const {
-    return sample_chunk(store_.read_chunk(store_.leaves()[v.leaf]), photographs_[v.photograph]->camera, shift_px, *v.window, v.y0, v.y1);
+  std::vector<Sample> samples_of(const PhotoWalk::Visit& v, std::uint32_t photograph, const Vec2f& shift_px) const {
+    return sample_chunk(store_.read_chunk(store_.leaves()[v.leaf]), photographs_[photograph]->camera, shift_px, *v.window, v.y0, v.y1);
   }
 
-  /// First look: what the photographs say of each surfel. One photograph has nobody to disagree with.
+  /// One photograph has nobody to disagree with.
+  bool has_votes() const { return num_photographs() >= 2 && (options_.reject || options_.gain != Gain::kNone) && scale_.brightness > 0; }
+
+  /// Which leaves each photograph may see.
+  void find_views() {
+    views_.assign(num_photographs(), std::vector<bool>(store_.leaves().size()));
+    in_view_.assign(store_.leaves().size(), false);
+    for (std::uint32_t k = 0; k < num_photographs(); ++k) {
+      const std::vector<RowSpan> rows = walk_.leaf_rows(photographs_[k]->camera);
+      for (std::size_t i = 0; i < rows.size(); ++i)
+        if (rows[i].overlaps(0, photographs_[k]->camera.lens.height_px)) views_[k][i] = in_view_[i] = true;
+    }
+  }
+
+  /// A disk that is too small is met now and not hours later. Leaves that nobody sees take nothing.
+  void require_space() {
+    const LeafShape ballots = shape(0, sizeof(Ballot)), sums = shape(2 * num_photographs(), sizeof(Accumulator));
+    for (std::size_t i = 0; i < in_view_.size(); ++i)
+      if (in_view_[i]) scratch_bytes_ += LeafFile::disk_bytes(sums, i) + (has_votes() ? LeafFile::disk_bytes(ballots, i) : 0);
+    std::uint64_t layer_bytes = 0;
+    for (const stream::ChunkEntry& c : store_.chunks()) layer_bytes += std::uint64_t{c.count} * kLayerBytes;
+    const std::uint64_t there = allocated_bytes(scratch_ / kVotesFile) + allocated_bytes(scratch_ / kSumsFile), free = free_disk_bytes(scratch_) + there;
+    if (free < scratch_bytes_ + layer_bytes)
+      throw Error(concat(scratch_.string(), ": no space: blending needs ", format_bytes(scratch_bytes_ + layer_bytes), ", the disk has ", format_bytes(free), " free"));
+  }
+
+  void open_kept() {
+    kept_ = KeptBlend::open(options_.keep, options_key(store_, options_), photograph_keys_, shape(0, 0).surfels_of_leaf);
+    if (kept_ && (kept_->state().footprint != scale_.footprint || kept_->state().brightness != scale_.brightness)) {
+      report_.note("blend: the median footprint or brightness of the photographs is not what it was: everything is added up anew");
+      kept_.reset();
+    }
+  }
+
+  /// First look: what the photographs say of each surfel. Those of a kept blend have spoken: they come first, and are heard again only where a ballot is open.
   void collect_votes() {
-    if (num_photographs() < 2 || (!options_.reject && options_.gain == Gain::kNone) || !(scale_.brightness > 0)) return;
-    votes_.emplace(scratch_ / kVotesFile, key_, shape(0, sizeof(Ballot)));
-    walk_.into(*votes_, "blend: compare photographs", kLeastMargin, sizeof(Ballot), [&](const PhotoWalk::Visit& v) {
-      const std::vector<Sample> samples = samples_of(v, Vec2f::Zero());
+    if (!has_votes()) return;
+    for (const bool known : {true, false})
+      for (std::uint32_t k = 0; k < num_photographs(); ++k)
+        if ((kept_ && kept_->photograph(k)) == known) {
+          order_.push_back(k);
+          num_known_ += known;
+        }
+    votes_key_ = Hasher().add(key_).add_bytes(order_.data(), order_.size() * sizeof(std::uint32_t)).hex();
+    votes_.emplace(scratch_ / kVotesFile, votes_key_, shape(0, sizeof(Ballot)));
+    std::vector<std::uint32_t> first;
+    if (kept_) first = take_over_votes();
+    std::vector<const BlendPhotograph*> ordered;
+    for (const std::uint32_t k : order_) ordered.push_back(photographs_[k]);
+    PhotoWalk walk(store_, std::move(ordered), window_, budget_, report_);
+    walk.into(*votes_, "blend: compare photographs", kLeastMargin, sizeof(Ballot), [&](const PhotoWalk::Visit& v) {
+      const std::vector<Sample> samples = samples_of(v, order_[v.photograph], Vec2f::Zero());
       if (samples.empty()) return;
       auto record = votes_->read<Ballot>(v.leaf);
-      for (const Sample& s : samples) cast_vote(record.surfels[s.slot], static_cast<std::uint16_t>(v.photograph), s, scale_.brightness);
+      for (const Sample& s : samples) cast_vote(record.surfels[s.slot], static_cast<std::uint16_t>(order_[v.photograph]), s, scale_.brightness);
       votes_->write(v.leaf, {v.photograph, static_cast<std::uint32_t>(v.y1)}, record);
+    }, first);
+    for (std::size_t i = 0; i < order_.size(); ++i) was_read_[order_[i]] = was_read_[order_[i]] || walk.photographs_read()[i];
+    votes_visited_ = walk.chunks_visited();
+  }
+
+  /// Returns from which photograph on each leaf is to be visited.
+  std::vector<std::uint32_t> take_over_votes() {
+    std::vector<std::uint32_t> first(votes_->num_leaves(), num_known_);
+    walk_.for_leaves(first.size(), sizeof(Ballot), [&](std::size_t i) {
+      const KeptBlend::Votes known = kept_->votes(i);
+      if (!known.is_whole) first[i] = 0;
+      else if (known.is_written && !votes_->is_written(i)) votes_->write(i, {num_known_, 0}, known.record);
     });
+    return first;
+  }
+
+  /// Leaves whose votes, or factors of brightness, are not those of the kept blend.
+  void find_changed_leaves() {
+    changed_.assign(store_.leaves().size(), 1);
+    if (!kept_ || kept_->state().tolerance != tolerance_) return;
+    walk_.for_leaves(changed_.size(), 2 * sizeof(Ballot), [&](std::size_t i) {
+      const KeptBlend::Votes known = kept_->votes(i);
+      const auto now = votes_->read<Ballot>(i);
+      changed_[i] = known.withdrawn || std::memcmp(known.record.surfels.data(), now.surfels.data(), now.surfels.size() * sizeof(Ballot)) != 0;
+    });
+    for (std::uint32_t k = 0; k < num_photographs(); ++k)
+      if (const PhotographState* then = kept_->photograph(k); then && then->log_gain != agreement_.log_gain[k])
+        for (std::size_t i = 0; i < changed_.size(); ++i) changed_[i] |= views_[k][i];
+  }
+
+  /// What inspection found of a photograph stands while all that it was compared with does.
+  const PhotographState* known_inspection(std::uint32_t k) const {
+    if (!kept_ || !kept_->state().inspected || !kept_->photograph(k)) return nullptr;
+    for (std::size_t i = 0; i < changed_.size(); ++i)
+      if (changed_[i] && views_[k][i]) return nullptr;
+    return kept_->photograph(k);
+  }
+
+  /// Sums of leaves in which nothing that they depend on has changed.
+  void take_over_sums() {
+    first_sum_.assign(store_.leaves().size(), 0);
+    if (!kept_) return;
+    std::vector<std::uint8_t> moved(changed_);
+    for (std::uint32_t k = 0; k < num_photographs(); ++k) {
+      const PhotographState* then = kept_->photograph(k);
+      if (!then || (then->alignment.shift_px == alignments_[k].shift_px && then->alignment.trust == alignments_[k].trust)) continue;
+      for (std::size_t i = 0; i < moved.size(); ++i) moved[i] |= views_[k][i];
+    }
+    std::atomic<std::uint64_t> kept{0};
+    walk_.for_leaves(moved.size(), sizeof(Accumulator), [&](std::size_t i) {
+      if (moved[i] || votes_->mark(i) > Mark{num_known_, 0}) return;   // a new photograph has readings there, be they among the votes or not
+      const KeptBlend::Sums known = kept_->sums(i);
+      if (known.holds_removed) return;
+      first_sum_[i] = num_photographs();
+      kept += known.is_written;
+      if (known.is_written && !sums_->is_written(i)) sums_->write(i, {num_photographs(), 0}, known.record);
+    });
+    leaves_kept_ = kept;
+  }
+
+  void keep() {
+    make_folder(options_.keep);
+    if (!votes_) return;   // one photograph alone: nothing to go on from
+    BlendState state{options_key(store_, options_), votes_key_, key_, scale_.footprint, scale_.brightness, tolerance_, num_photographs() >= 3, {}};
+    for (std::uint32_t k = 0; k < num_photographs(); ++k) state.photographs.push_back({photograph_keys_[k], agreement_.log_gain[k], inspections_[k], alignments_[k]});
+    votes_.reset();
+    sums_.reset();
+    kept_.reset();
+    KeptBlend::save(options_.keep, state, scratch_ / kVotesFile, scratch_ / kSumsFile);
   }
 
   /// From every n-th surfel, so that memory does not grow with the model.
@@ -161,6 +233,11 @@ class Blender {
     report_.begin("blend: inspect photographs", num_photographs(), "photographs");
     for (std::uint32_t k = 0; k < num_photographs(); ++k) {
       report_.progress(k);
+      if (const PhotographState* known = known_inspection(k)) {
+        inspections_[k] = known->inspection;
+        alignments_[k] = known->alignment;
+        continue;
+      }
       inspections_[k] = inspect(k, Vec2f::Zero());
       if (!options_.align) continue;
       // A photograph that is read in the wrong place is judged and correlated wrongly too: once more from where it seems to be.
@@ -223,7 +300,7 @@ class Blender {
   }
 
   void add_to_leaf(const PhotoWalk::Visit& v) {
-    std::vector<Sample> samples = samples_of(v, alignments_[v.photograph].shift_px);
+    std::vector<Sample> samples = samples_of(v, v.photograph, alignments_[v.photograph].shift_px);
     if (samples.empty()) return;
     auto record = sums_->read<Accumulator>(v.leaf);
     const auto ballots = votes_ ? votes_->read<Ballot>(v.leaf) : LeafRecord<Ballot>{};
@@ -252,7 +329,7 @@ class Blender {
     BlendStats stats;
     stream::LayerWriter writer(store_, options_.layer, stream::albedo_fields(), options_.provenance_json);
     std::vector<LeafStats> leaves(store_.leaves().size());
-    walk_.for_leaves(leaves.size(), sizeof(Accumulator), [&](std::size_t i) { leaves[i] = write_leaf(writer, i); });
+    walk_.for_leaves(leaves.size(), sizeof(Accumulator), [&](std::size_t i) { leaves[i] = write_leaf(writer, store_.leaves()[i], sums_->read<Accumulator>(i), static_cast<float>(options_.shared_sigma)); });
     stats.photographs.resize(photographs_.size());
     for (std::size_t leaf = 0; leaf < leaves.size(); ++leaf) {
       stats.points += leaves[leaf].points;
@@ -263,41 +340,21 @@ class Blender {
         (k < photographs_.size() ? p.samples : p.rejected) += leaves[leaf].counters[k];
       }
     }
-    for (std::size_t k = 0; k < photographs_.size(); ++k)
-      for (int c = 0; c < 3; ++c) stats.photographs[callers_index_[k]].gain[static_cast<std::size_t>(c)] = std::exp(static_cast<double>(agreement_.log_gain[k][c]));
     for (std::size_t k = 0; k < photographs_.size(); ++k) {
-      stats.photographs[callers_index_[k]].inspection = inspections_[k];
-      stats.photographs[callers_index_[k]].alignment = alignments_[k];
+      PhotographStats& p = stats.photographs[callers_index_[k]];
+      for (int c = 0; c < 3; ++c) p.gain[static_cast<std::size_t>(c)] = std::exp(static_cast<double>(agreement_.log_gain[k][c]));
+      p.inspection = inspections_[k];
+      p.alignment = alignments_[k];
+      stats.photographs_read += was_read_[k] || walk_.photographs_read()[k];
+      stats.samples += p.samples;
     }
-    for (const PhotographStats& p : stats.photographs) stats.samples += p.samples;
     stats.scatter = static_cast<double>(agreement_.scatter);
-    stats.chunks_visited = walk_.chunks_visited();
+    stats.chunks_visited = walk_.chunks_visited() + votes_visited_;
+    for (std::size_t i = 0; i < leaves.size(); ++i) stats.leaves += sums_->is_written(i);
+    stats.leaves_kept = leaves_kept_;
+    stats.scratch_bytes = scratch_bytes_;
     writer.finish_inner(report_);
     writer.commit();
-    return stats;
-  }
-
-  struct LeafStats {
-    std::uint64_t points = 0, points_seen = 0, points_disputed = 0;
-    std::vector<std::uint32_t> counters;
-  };
-  LeafStats write_leaf(stream::LayerWriter& writer, std::size_t leaf) const {
-    const auto record = sums_->read<Accumulator>(leaf);
-    const std::size_t n = record.surfels.size();
-    std::vector<std::byte> planar(n * (4 * sizeof(float) + sizeof(std::uint16_t)));
-    std::byte* albedo = planar.data();
-    std::byte* sigma = albedo + n * 3 * sizeof(float);
-    std::byte* photos = sigma + n * sizeof(float);
-    LeafStats stats{n, 0, 0, record.counters};
-    for (std::size_t i = 0; i < n; ++i) {
-      const BlendedSurfel s = resolve(record.surfels[i], static_cast<float>(options_.shared_sigma));
-      for (std::size_t c = 0; c < 3; ++c) std::memcpy(albedo + (c * n + i) * sizeof(float), s.albedo.data() + c, sizeof(float));
-      std::memcpy(sigma + i * sizeof(float), &s.sigma, sizeof(float));
-      std::memcpy(photos + i * sizeof(std::uint16_t), &s.photographs, sizeof(std::uint16_t));
-      stats.points_seen += s.photographs > 0;
-      stats.points_disputed += record.surfels[i].rejected > 0;
-    }
-    writer.write_chunk(store_.leaves()[leaf], planar);
     return stats;
   }
 
@@ -309,8 +366,17 @@ class Blender {
   std::vector<const BlendPhotograph*> photographs_;
   std::vector<std::size_t> callers_index_;
   Scale scale_;
-  std::string key_;
+  WindowOptions window_;
   PhotoWalk walk_;
+  std::string key_, votes_key_;
+  std::vector<std::string> photograph_keys_;
+  std::vector<bool> was_read_, in_view_;
+  std::vector<std::vector<bool>> views_;         // by photograph and leaf
+  std::optional<KeptBlend> kept_;
+  std::vector<std::uint32_t> order_, first_sum_; // order_: in which photographs vote
+  std::uint32_t num_known_ = 0;                  // of the photographs, by a kept blend
+  std::vector<std::uint8_t> changed_;            // by leaf
+  std::uint64_t scratch_bytes_ = 0, leaves_kept_ = 0, votes_visited_ = 0;
   std::optional<LeafFile> votes_, sums_;
   Agreement agreement_;
   float tolerance_ = 0;

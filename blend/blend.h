@@ -37,6 +37,7 @@ struct BlendOptions {
   bool reject = true;              ///< readings that a majority of the photographs contradicts are left out
   Gain gain = Gain::kGrey;
   bool align = true;               ///< photographs that lie beside what the others show are read where they show it
+  std::filesystem::path keep;      ///< folder in which the sums stay for a later blend with photographs added or taken away, and from which this one begins; empty: none
   void validate() const;
 };
 
@@ -51,13 +52,18 @@ struct PhotographStats {
 struct BlendStats {
   std::uint64_t points = 0, points_seen = 0, points_disputed = 0, samples = 0, chunks_visited = 0;   ///< disputed: a reading was outvoted there
   double scatter = 0;              ///< median distance of two readings of a point, relative, largest channel
+  std::uint64_t leaves = 0, leaves_kept = 0;  ///< with readings; of these, taken over from the kept blend as they were
+  std::uint64_t photographs_read = 0;         ///< whose pixels were needed
+  std::uint64_t scratch_bytes = 0;            ///< most that the state takes on the disk
   std::vector<PhotographStats> photographs;   ///< in the caller's order
 };
 
 /// Writes layer `options.layer` (albedo, sigma, photos) of the store and filters it to the inner nodes. Photographs are taken twice: once to hear what
 /// each says of a surfel, once to add up what the majority does not contradict. State lives on disk beside the store (scratch), one chunk and one band
 /// of image rows in memory at a time. The result does not depend on threads, budget or order of photographs.
-/// throws Error, Cancelled.
+/// With options.keep, a blend of nearly the same photographs goes on from the one before: only leaves that the change may touch are added up anew, from
+/// the photographs that see them. The result has the same bits as one from the beginning.
+/// throws Error (also where the disk has no space for the state), Cancelled.
 BlendStats blend(const stream::Store& store, std::span<const BlendPhotograph> photographs, const BlendOptions& options,
                  const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report);
 

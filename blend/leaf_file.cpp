@@ -43,6 +43,24 @@ struct LeafFile::Impl {
   std::uint32_t done = 0;
   FileHeader header{};
 
+  void lay_out(const std::string& key, LeafShape shape_) {
+    shape = std::move(shape_);
+    const std::size_t leaves = shape.surfels_of_leaf.size();
+    marks.resize(leaves);
+    current.resize(leaves, -1);
+    std::memcpy(header.magic, kMagic, sizeof kMagic);
+    std::memcpy(header.key, key.data(), std::min(key.size(), sizeof header.key));
+    header.num_leaves = leaves;
+    header.num_photographs = shape.num_photographs;
+    header.counters = shape.counters;
+    header.record_bytes = shape.record_bytes;
+    std::uint64_t at = 2 * kPage;
+    for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
+      offsets.push_back(at);
+      at += 2 * slot_bytes(leaf);
+    }
+  }
+
   std::uint64_t payload_bytes(std::size_t leaf) const {
     return std::uint64_t{shape.counters} * sizeof(std::uint32_t) + std::uint64_t{shape.surfels_of_leaf[leaf]} * shape.record_bytes;
   }
@@ -91,27 +109,26 @@ struct LeafFile::Impl {
   }
 };
 
-LeafFile::LeafFile(const std::filesystem::path& path, const std::string& key, LeafShape shape) : impl_(std::make_unique<Impl>()) {
-  Impl& m = *impl_;
-  m.shape = std::move(shape);
-  const std::size_t leaves = m.shape.surfels_of_leaf.size();
-  m.marks.resize(leaves);
-  m.current.resize(leaves, -1);
-  std::memcpy(m.header.magic, kMagic, sizeof kMagic);
-  std::memcpy(m.header.key, key.data(), std::min(key.size(), sizeof m.header.key));
-  m.header.num_leaves = leaves;
-  m.header.num_photographs = m.shape.num_photographs;
-  m.header.counters = m.shape.counters;
-  m.header.record_bytes = m.shape.record_bytes;
-  std::uint64_t at = 2 * kPage;
-  for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
-    m.offsets.push_back(at);
-    at += 2 * m.slot_bytes(leaf);
-  }
-  if (!m.resume(path)) m.start(path);
+LeafFile::LeafFile() : impl_(std::make_unique<Impl>()) {}
+
+LeafFile::LeafFile(const std::filesystem::path& path, const std::string& key, LeafShape shape) : LeafFile() {
+  impl_->lay_out(key, std::move(shape));
+  if (!impl_->resume(path)) impl_->start(path);
+}
+
+std::optional<LeafFile> LeafFile::existing(const std::filesystem::path& path, const std::string& key, LeafShape shape) {
+  LeafFile file;
+  file.impl_->lay_out(key, std::move(shape));
+  if (!file.impl_->resume(path)) return std::nullopt;
+  return file;
+}
+
+std::uint64_t LeafFile::disk_bytes(const LeafShape& shape, std::size_t leaf) {
+  return 2 * up_to_page(sizeof(SlotHeader) + std::uint64_t{shape.counters} * sizeof(std::uint32_t) + std::uint64_t{shape.surfels_of_leaf[leaf]} * shape.record_bytes);
 }
 
 LeafFile::LeafFile(LeafFile&&) noexcept = default;
+LeafFile& LeafFile::operator=(LeafFile&&) noexcept = default;
 LeafFile::~LeafFile() = default;
 std::size_t LeafFile::num_leaves() const { return impl_->shape.surfels_of_leaf.size(); }
 std::uint32_t LeafFile::photographs_done() const { return impl_->done; }

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <type_traits>
@@ -37,7 +38,12 @@ class LeafFile {
  public:
   /// Opens `path` if it was made with the same key and shape, else starts it anew. throws Error.
   LeafFile(const std::filesystem::path& path, const std::string& key, LeafShape shape);
+  /// Opens `path` only if it was made with the same key and shape.
+  static std::optional<LeafFile> existing(const std::filesystem::path& path, const std::string& key, LeafShape shape);
+  /// Most that a leaf takes on the disk, both its slots.
+  static std::uint64_t disk_bytes(const LeafShape& shape, std::size_t leaf);
   LeafFile(LeafFile&&) noexcept;
+  LeafFile& operator=(LeafFile&&) noexcept;
   ~LeafFile();
   std::size_t num_leaves() const;
   /// Photographs that are in completely.
@@ -60,6 +66,7 @@ class LeafFile {
   }
 
  private:
+  LeafFile();
   std::uint32_t surfels(std::size_t leaf) const;
   std::uint32_t counters() const;
   void read_bytes(std::size_t leaf, std::span<std::uint32_t> counters, std::span<std::byte> surfels) const;

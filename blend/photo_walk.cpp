@@ -14,18 +14,18 @@ constexpr int kLeastWindowRows = 16;
 }  // namespace
 
 PhotoWalk::PhotoWalk(const stream::Store& store, std::vector<const BlendPhotograph*> photographs, const WindowOptions& options, MemoryBudget& budget, Reporter& report)
-    : store_(store), photographs_(std::move(photographs)), options_(options), budget_(budget), report_(report) {
+    : store_(store), photographs_(std::move(photographs)), options_(options), budget_(budget), report_(report), read_(photographs_.size()) {
   for (const std::uint32_t leaf : store.leaves()) largest_leaf_ = std::max(largest_leaf_, store.chunks()[leaf].count);
 }
 
-void PhotoWalk::look(std::uint32_t k, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit) { take(k, nullptr, margin, state_bytes, visit); }
+void PhotoWalk::look(std::uint32_t k, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit) { take(k, nullptr, margin, state_bytes, visit, {}); }
 
-void PhotoWalk::into(LeafFile& file, std::string_view title, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit) {
+void PhotoWalk::into(LeafFile& file, std::string_view title, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit, std::span<const std::uint32_t> first) {
   report_.begin(title, photographs_.size(), "photographs");
   for (std::uint32_t k = file.photographs_done(); k < photographs_.size(); ++k) {
     report_.check();
     report_.progress(k);
-    take(k, &file, margin, state_bytes, visit);
+    take(k, &file, margin, state_bytes, visit, first);
     file.set_photographs_done(k + 1);
   }
   report_.end();
@@ -61,10 +61,17 @@ int PhotoWalk::band_rows(int width, int height, int beyond) const {
   return static_cast<int>(std::clamp<std::int64_t>(fit, std::min(kLeastWindowRows, height), height));
 }
 
-void PhotoWalk::take(std::uint32_t k, const LeafFile* file, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit) {
+void PhotoWalk::take(std::uint32_t k, const LeafFile* file, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit, std::span<const std::uint32_t> first) {
   const BlendPhotograph& photograph = *photographs_[k];
-  const PhotographRasters rasters(photograph.camera.lens, photograph.gbuffer, photograph.albedo, photograph.radiance);
   const std::vector<RowSpan> rows = leaf_rows(photograph.camera);
+  const auto is_wanted = [&](std::size_t leaf, int y0, int y1) {
+    return rows[leaf].overlaps(y0, y1) && (first.empty() || first[leaf] <= k) && (!file || file->mark(leaf) < Mark{k, static_cast<std::uint32_t>(y1)});
+  };
+  bool any = false;
+  for (std::size_t i = 0; i < rows.size() && !any; ++i) any = is_wanted(i, 0, photograph.camera.lens.height_px);
+  if (!any) return;
+  read_[k] = true;
+  const PhotographRasters rasters(photograph.camera.lens, photograph.gbuffer, photograph.albedo, photograph.radiance);
   std::uint64_t surfels_in_view = 0;
   for (std::size_t i = 0; i < rows.size(); ++i)
     if (rows[i].overlaps(0, rasters.height())) surfels_in_view += store_.chunks()[store_.leaves()[i]].count;
@@ -74,7 +81,7 @@ void PhotoWalk::take(std::uint32_t k, const LeafFile* file, int margin, std::uin
     const int y1 = std::min(rasters.height(), y0 + band);
     std::vector<std::size_t> visited;
     for (std::size_t i = 0; i < rows.size(); ++i)
-      if (rows[i].overlaps(y0, y1) && (!file || file->mark(i) < Mark{k, static_cast<std::uint32_t>(y1)})) visited.push_back(i);
+      if (is_wanted(i, y0, y1)) visited.push_back(i);
     if (visited.empty()) continue;
     const int held = std::min(rasters.height(), y1 + margin + halo) - std::max(0, y0 - margin - halo);
     const BudgetLease window_lease(budget_, static_cast<std::uint64_t>(held) * static_cast<std::uint64_t>(rasters.width()) * window_bytes_per_pixel(),

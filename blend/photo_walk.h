@@ -2,6 +2,7 @@
 #pragma once
 #include <cstdint>
 #include <functional>
+#include <span>
 #include <string_view>
 #include <vector>
 
@@ -26,8 +27,9 @@ class PhotoWalk {
   };
   /// Takes every photograph to every leaf that it may see, from where `file` says it got to; the visitor writes the leaf with mark {photograph, y1}
   /// where it changes something. Different leaves at the same time. state_bytes: of one surfel, that a visitor holds beside the geometry.
+  /// first: by leaf, the photograph from which on it is to be visited; empty: all from the beginning.
   /// margin: rows of the window beyond those of the surfels.
-  void into(LeafFile& file, std::string_view title, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit);
+  void into(LeafFile& file, std::string_view title, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit, std::span<const std::uint32_t> first = {});
 
   /// Only looks: photograph k to every leaf that it may see.
   void look(std::uint32_t k, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit);
@@ -36,11 +38,15 @@ class PhotoWalk {
   void for_leaves(std::size_t count, std::uint64_t state_bytes, const std::function<void(std::size_t)>& task);
 
   std::uint64_t chunks_visited() const { return chunks_visited_; }
+  /// Photographs whose pixels were read, in the order of this walk.
+  const std::vector<bool>& photographs_read() const { return read_; }
+
+  /// Image rows of each leaf, in the store's order of leaves; empty where a photograph cannot see it.
+  std::vector<RowSpan> leaf_rows(const stream::Camera& camera) const;
 
  private:
-  void take(std::uint32_t k, const LeafFile* file, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit);
+  void take(std::uint32_t k, const LeafFile* file, int margin, std::uint64_t state_bytes, const std::function<void(const Visit&)>& visit, std::span<const std::uint32_t> first);
   int band_rows(int width, int height, int beyond) const;
-  std::vector<RowSpan> leaf_rows(const stream::Camera& camera) const;
 
   const stream::Store& store_;
   std::vector<const BlendPhotograph*> photographs_;
@@ -49,6 +55,7 @@ class PhotoWalk {
   Reporter& report_;
   std::uint32_t largest_leaf_ = 0;
   std::uint64_t chunks_visited_ = 0;
+  std::vector<bool> read_;
 };
 
 }  // namespace chiaro::blend

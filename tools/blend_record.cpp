@@ -43,7 +43,8 @@ std::string blend_record_json(const blend::BlendStats& stats, std::span<const bl
     add_notes(stats.photographs[k], photographs[k].name, notes);
   }
   const Json record{{"points", stats.points}, {"points_seen", stats.points_seen}, {"points_disputed", stats.points_disputed}, {"samples", stats.samples},
-                    {"scatter", stats.scatter}, {"photographs", each}, {"notes", notes}};
+                    {"scatter", stats.scatter}, {"leaves", stats.leaves}, {"leaves_kept", stats.leaves_kept}, {"photographs_read", stats.photographs_read}, {"scratch_bytes", stats.scratch_bytes},
+                    {"photographs", each}, {"notes", notes}};
   return record.dump();
 }
 

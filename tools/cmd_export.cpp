@@ -1,4 +1,5 @@
 /// chiaro export STORE --out FILE: a layer back as a point file.
+#include <algorithm>
 #include <nlohmann/json.hpp>
 #include <ostream>
 
@@ -18,9 +19,25 @@ namespace chiaro::tools {
 namespace fs = std::filesystem;
 namespace {
 
+bool has_albedo(const stream::Layer& layer) {
+  return std::any_of(layer.fields().begin(), layer.fields().end(), [](const stream::LayerField& f) { return f.name == "albedo"; });
+}
+
+/// "albedo" where there is one, else the only layer with albedos; empty where there is none. throws UsageError where there are several.
+std::string only_albedo(const stream::Store& store) {
+  if (stream::has_layer(store, "albedo")) return "albedo";
+  std::vector<std::string> found;
+  for (const std::string& name : stream::layer_names(store))
+    if (has_albedo(stream::Layer(store, name))) found.push_back(name);
+  if (found.size() < 2) return found.empty() ? "" : found.front();
+  std::string names;
+  for (const std::string& name : found) names += (names.empty() ? "" : ", ") + name;
+  throw UsageError(concat(store.path().string(), ": holds several results, name one with --layer: ", names));
+}
+
 /// The layer's name as export_points() takes it: empty for geometry and input colour alone.
 std::string layer_of(const stream::Store& store, const std::string& wanted) {
-  if (wanted.empty()) return stream::has_layer(store, "albedo") ? "albedo" : "";
+  if (wanted.empty()) return only_albedo(store);
   if (wanted == "input") return "";
   if (stream::has_layer(store, wanted)) return wanted;
   throw Error(concat(store.path().string(), ": no layer \"", wanted, "\"", suggestion(wanted, stream::layer_names(store))));
@@ -49,7 +66,7 @@ int run_export(std::span<const std::string> args, Console& console) {
   parser.positional("DIR", dir, "NAME.chiaro, or the folder of a run");
   parser.option("-o,--out", out, ".ply, .las or .pcd", "FILE");
   parser.require("--out");
-  parser.option("--layer", layer, "which result; default: albedo where there is one. input: geometry and input colour alone", "NAME");
+  parser.option("--layer", layer, "which result; default: albedo where there is one, else the only one. input: geometry and input colour alone", "NAME");
   parser.flag("--fill", fill, "unseen points take albedo and colour from their neighbours; they stay marked by photos = 0");
   parser.resources(memory_bytes, threads);
   parser.common(console);

@@ -68,6 +68,22 @@ Json json_of(const stream::Layer& layer, const std::string& name) {
   return {{"name", name}, {"record_bytes", layer.record_bytes()}, {"fields", fields}, {"provenance", provenance.is_discarded() ? Json(nullptr) : provenance}};
 }
 
+/// "joint, 12 photographs of day1": from what the layer says of itself.
+std::string made_by(const stream::Layer& layer) {
+  const Json provenance = Json::parse(layer.provenance_json(), nullptr, false);
+  if (!provenance.is_object()) return "";
+  std::string text;
+  if (const Json method = provenance.value("method", Json()); method.is_string()) text = method.get<std::string>();
+  if (const Json n = provenance.value("photographs", Json()); n.is_number_unsigned()) text += concat(", ", format_count(n.get<std::uint64_t>()), n == 1 ? " photograph" : " photographs");
+  const char* join = " of ";
+  for (const Json& name : provenance.value("acquisitions", Json::array())) {
+    if (!name.is_string()) continue;
+    text += join + name.get<std::string>();
+    join = ", ";
+  }
+  return text;
+}
+
 Json json_of(const Vec3d& v) { return {v.x(), v.y(), v.z()}; }
 
 std::string as_json(const stream::Store& store) {
@@ -109,12 +125,12 @@ void print(const stream::Store& store, std::ostream& out) {
     levels.row({std::to_string(number), format_count(level.chunks), format_count(level.leaves), format_count(level.surfels), format_number(level.spacing_min, 3), format_number(level.spacing_max, 3)});
   out << levels.text();
 
-  Table layers({"layer", "bytes a surfel", "fields"}, {Table::Align::kLeft, Table::Align::kRight, Table::Align::kLeft});
+  Table layers({"layer", "bytes a surfel", "fields", "made by"}, {Table::Align::kLeft, Table::Align::kRight, Table::Align::kLeft, Table::Align::kLeft});
   for (const std::string& name : stream::layer_names(store)) {
     const stream::Layer layer(store, name);
     std::string fields;
     for (const stream::LayerField& field : layer.fields()) fields += (fields.empty() ? "" : ", ") + field_text(field);
-    layers.row({name, std::to_string(layer.record_bytes()), fields});
+    layers.row({name, std::to_string(layer.record_bytes()), fields, made_by(layer)});
   }
   out << '\n' << layers.text();
 }

@@ -98,7 +98,7 @@ int run_render(std::span<const std::string> words, Console& console) {
   const ThreadLimit limit(threads);
   MemoryBudget budget(budget_bytes(memory));
   const stream::Store store(folder.store());
-  const stream::Layer layer(store, "albedo");
+  const stream::Layer layer(store, text_of(member(member(read_json_object(folder.project()), "blend"), "layer"), "albedo"));
   optimize::RenderOptions options;
   options.mode = only_albedo ? optimize::RenderMode::kAlbedo : only_direct ? optimize::RenderMode::kDirect : optimize::RenderMode::kFull;
   const std::optional<RunLights> found = read_lights(folder);

@@ -7,7 +7,6 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
-#include "blend/blend.h"
 #include "optimize/acquisition.h"
 #include "optimize/albedo.h"
 #include "optimize/pictures.h"
@@ -22,49 +21,17 @@
 #include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
 #include "surfels/gbuffer.h"
-#include "tools/blend_record.h"
-#include "tools/camera_record.h"
-#include "tools/export_points.h"
 #include "tools/ingest.h"
 #include "tools/light_spread_json.h"
-#include "tools/run_folder.h"
+#include "tools/run_context_json.h"
+#include "tools/run_layer.h"
 #include "tools/table.h"
-#include "tools/task_log.h"
 
 namespace chiaro::tools {
 namespace {
 
 using Json = nlohmann::ordered_json;
 using optimize::Method;
-
-/// Part of every key: raise it when a stage's result changes for the same inputs.
-constexpr std::uint64_t kPipelineVersion = 5;
-
-struct Photo {
-  const PhotographInput* input = nullptr;
-  std::size_t index_in_acquisition = 0;   ///< of the project, for references
-  stream::Camera camera;
-  optimize::PixelNoise noise;
-  std::size_t index_in_lights = 0;        ///< among all photographs that share their lights
-  std::string radiance_key, gbuffer_key, albedo_key;
-};
-
-struct Shoot {
-  const Acquisition* acquisition = nullptr;
-  std::vector<Photo> photos;
-  std::size_t lead = 0;                   ///< number of the shoot whose lights these photographs share: most often its own
-  double ambient_scale = 1;               ///< shutter time beside the lead's
-  bool has_flash() const { return acquisition->flash.has_value(); }
-  // Of a lead:
-  std::string transport_key, light_key;
-  optimize::AcquisitionResult lights;
-};
-
-Hasher keyed(std::string_view stage) {
-  Hasher h;
-  h.add(kPipelineVersion).add(stage);
-  return h;
-}
 
 Hasher& add_camera(Hasher& h, const stream::Camera& c) {
   const stream::Lens& l = c.lens;
@@ -105,105 +72,96 @@ optimize::SkyModel sky_model(AmbientModel m) {
   return optimize::SkyModel::kAuto;
 }
 
-blend::Gain blend_gain(BlendGain g) {
-  switch (g) {
-    case BlendGain::kNone: return blend::Gain::kNone;
-    case BlendGain::kChannels: return blend::Gain::kChannels;
-    case BlendGain::kGrey: break;
-  }
-  return blend::Gain::kGrey;
-}
-
 class Pipeline {
  public:
   Pipeline(const Project& project, const std::filesystem::path& out, MemoryBudget& budget, RunRecord& record, Reporter& report)
-      : project_(project), folder_{out}, tasks_(folder_.tasks()), budget_(budget), record_(record), report_(report) {}
+      : run_{project, {out}, TaskLog(RunFolder{out}.tasks()), budget, record, report} {}
 
   void run() {
     check_flash();
-    write_text(folder_.project(), to_json(project_) + "\n");
-    for (const std::string& note : project_.notes) note_both(note);
+    write_text(run_.folder.project(), to_json(run_.project) + "\n");
+    for (const std::string& note : run_.project.notes) run_.note_both(note);
     ingest();
     read_all_cameras();
-    const stream::Store store(folder_.store());
+    const stream::Store store(run_.folder.store());
     count_points(store);
     for (Shoot& shoot : shoots_) {
       develop(shoot);
       raycast(store, shoot);
-      if (project_.method == SolveMethod::kNone) take_colour(shoot);
+      if (run_.project.method == SolveMethod::kNone) take_colour(shoot);
     }
-    if (project_.method != SolveMethod::kNone) {
+    if (run_.project.method != SolveMethod::kNone) {
       for (std::size_t i = 0; i < shoots_.size(); ++i)
         if (shoots_[i].lead == i) solve_lights(store, i);
       for (Shoot& shoot : shoots_)
         if (shoot.has_flash()) solve_albedo(store, shoot);
     }
     write_lights();
-    blend(store);
-    residuals(store);
-    for (const ExportInput& e : project_.exports) export_layer(store, e);
+    write_run_layer(run_, store, shoots_);
     std::error_code code;
-    std::filesystem::remove_all(folder_.scratch(), code);
+    std::filesystem::remove_all(run_.folder.scratch(), code);
   }
 
  private:
-  void note_both(const std::string& text) {
-    report_.note(text);
-    record_.note(text);
-  }
-
-  /// Runs a task and enters it in the record.
-  Json task(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs, const std::function<Json()>& body) {
-    report_.check();
-    const TaskOutcome outcome = tasks_.run(name, key, outputs, [&] { return body().dump(); });
-    record_.stage(name, outcome.reused ? 0.0 : outcome.seconds, outcome.reused);
-    return Json::parse(outcome.info_json);
-  }
-
   void check_flash() const {
-    if (project_.method == SolveMethod::kNone) return;
-    for (const Acquisition& a : project_.acquisitions)
+    if (run_.project.method == SolveMethod::kNone) return;
+    for (const Acquisition& a : run_.project.acquisitions)
       if (a.role == AcquisitionRole::kFlash && !a.flash)
-        throw UsageError(concat(project_.file.filename().string(), ": acquisition \"", a.name,
+        throw UsageError(concat(run_.project.file.filename().string(), ": acquisition \"", a.name,
                                 "\" has no [acquisition.flash]: without a known flash there is no albedo. Set solve.method = \"none\" to blend the photographs' own colour"));
   }
 
   void ingest() {
-    const IngestPlan plan = plan_ingest(project_);
-    const Json info = task("ingest", plan.key, {folder_.store()}, [&] {
-      const IngestOutcome outcome = ingest_cloud(plan, folder_.store(), budget_, report_);
+    const IngestPlan plan = plan_ingest(run_.project);
+    if (!run_.tasks.is_done("ingest", plan.key, {run_.folder.store()})) require_no_other_layers();
+    const Json info = run_.task("ingest", plan.key, {run_.folder.store()}, [&] {
+      const IngestOutcome outcome = ingest_cloud(plan, run_.folder.store(), run_.budget, run_.report);
       return Json{{"store_key", outcome.store_key}, {"notes", outcome.notes}};
     });
-    for (const auto& n : info.value("notes", Json::array())) record_.note(n.get<std::string>());
-    for (const auto& file : project_.cloud.files) record_.input(file, file_fingerprint(file));
+    for (const auto& n : info.value("notes", Json::array())) run_.record.note(n.get<std::string>());
+    for (const auto& file : run_.project.cloud.files) run_.record.input(file, file_fingerprint(file));
+  }
+
+  /// A store that is made anew takes its layers with it. Those that this run does not write would be gone for good.
+  void require_no_other_layers() const {
+    std::string others;
+    try {
+      for (const std::string& name : stream::layer_names(stream::Store(run_.folder.store())))
+        if (name != "input" && name != run_.project.blend.layer) others += concat(others.empty() ? "" : ", ", name);
+    } catch (const Error&) {
+      return;   // no store yet, or none that could be read
+    }
+    if (!others.empty())
+      throw Error(concat(run_.folder.store().string(), ": the cloud, or how it is read, is not what this store was made from, and its layers would be lost: ", others,
+                         ". Choose another --out, or remove them from its folder layers"));
   }
 
   void count_points(const stream::Store& store) {
     const stream::Manifest& m = store.manifest();
     store_key_ = m.key;
-    record_.count("points_in", m.points_read);
-    record_.count("points_stored", m.points_stored);
+    run_.record.count("points_in", m.points_read);
+    run_.record.count("points_stored", m.points_stored);
     for (const auto& [reason, n] : m.points_rejected) {
-      record_.count("points_rejected", n);
+      run_.record.count("points_rejected", n);
       // Outliers are left out because the project asks for it: counted, but nothing is missing.
-      if (n > 0 && reason != stream::OutlierMarks::kReason) record_.left_out("points", "cloud", reason, n);
+      if (n > 0 && reason != stream::OutlierMarks::kReason) run_.record.left_out("points", "cloud", reason, n);
     }
   }
 
   void read_all_cameras() {
-    for (const Acquisition& a : project_.acquisitions) {
+    for (const Acquisition& a : run_.project.acquisitions) {
       Shoot shoot;
       shoot.acquisition = &a;
       shoot.lead = a.lights_of.value_or(shoots_.size());
-      if (a.lights_of && a.exposure_s) shoot.ambient_scale = *a.exposure_s / *project_.acquisitions[*a.lights_of].exposure_s;
-      if (a.role == AcquisitionRole::kNoFlash && project_.method == SolveMethod::kNone) {
+      if (a.lights_of && a.exposure_s) shoot.ambient_scale = *a.exposure_s / *run_.project.acquisitions[*a.lights_of].exposure_s;
+      if (a.role == AcquisitionRole::kNoFlash && run_.project.method == SolveMethod::kNone) {
         for (const PhotographInput& p : a.photographs) leave_out(p, "taken without flash, and no light is solved");
         shoots_.push_back(std::move(shoot));
         continue;
       }
       std::vector<std::string> notes;
       const std::vector<stream::Camera> cameras = stream::read_cameras(a.cameras, notes);
-      for (const std::string& n : notes) note_both(n);
+      for (const std::string& n : notes) run_.note_both(n);
       for (std::size_t i = 0; i < a.photographs.size(); ++i) {
         const PhotographInput& p = a.photographs[i];
         const stream::Camera* camera = stream::find_camera(cameras, p.file.string());
@@ -224,8 +182,8 @@ class Pipeline {
   }
 
   void leave_out(const PhotographInput& p, const std::string& reason) {
-    report_.note(concat(p.file.filename().string(), ": left out: ", reason));
-    record_.left_out("photograph", p.key, reason);
+    run_.report.note(concat(p.file.filename().string(), ": left out: ", reason));
+    run_.record.left_out("photograph", p.key, reason);
   }
 
   void require_photographs() const {
@@ -260,18 +218,18 @@ class Pipeline {
     h.add(p.mask.empty() ? std::string("-") : file_fingerprint(p.mask));
     h.add(a.noise ? a.noise->gain : -1.0).add(a.noise ? a.noise->read_sigma : -1.0);
     photo.radiance_key = h.hex();
-    const Json info = task("develop/" + p.key, photo.radiance_key, {folder_.radiance(p.key)}, [&] {
+    const Json info = run_.task("develop/" + p.key, photo.radiance_key, {run_.folder.radiance(p.key)}, [&] {
       stream::DevelopOptions options;
       options.encoding = develop_encoding(a.encoding);
       if (!p.mask.empty()) options.mask = p.mask;
       if (a.noise) options.noise = stream::NoiseModel{a.noise->gain, a.noise->read_sigma, false};
-      const stream::DevelopResult r = stream::develop(p.file, options, folder_.radiance(p.key), report_);
+      const stream::DevelopResult r = stream::develop(p.file, options, run_.folder.radiance(p.key), run_.report);
       return Json{{"width", r.width_px}, {"height", r.height_px}, {"noise_gain", r.noise.gain}, {"noise_read_sigma", r.noise.read_sigma}, {"noise_estimated", r.noise.estimated},
                   {"pixels_used", r.pixels_used}, {"pixels_masked", r.pixels_masked}, {"pixels_saturated", r.pixels_saturated}, {"pixels_not_finite", r.pixels_not_finite},
                   {"notes", r.notes}};
     });
-    record_.input(p.file, fingerprint);
-    for (const auto& n : info["notes"]) record_.note(n.get<std::string>());
+    run_.record.input(p.file, fingerprint);
+    for (const auto& n : info["notes"]) run_.record.note(n.get<std::string>());
     if (info["pixels_used"] == 0) throw Error("no usable pixel: everything is masked, saturated or not finite");
     photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
     photo.camera.lens = stream::scaled_to(photo.camera.lens, info["width"], info["height"], p.file.string());
@@ -282,8 +240,8 @@ class Pipeline {
     std::vector<Photo> kept;
     for (Photo& photo : shoot.photos) {
       surfels::GBufferOptions options;
-      if (project_.method != SolveMethod::kNone && shoot.has_flash()) options.flash_in_camera = a.flash->offset_in_camera;
-      options.mask_raster = folder_.radiance(photo.input->key);
+      if (run_.project.method != SolveMethod::kNone && shoot.has_flash()) options.flash_in_camera = a.flash->offset_in_camera;
+      options.mask_raster = run_.folder.radiance(photo.input->key);
       Hasher h = keyed("raycast");
       h.add(store_key_).add(photo.radiance_key);
       add_camera(h, photo.camera);
@@ -292,8 +250,8 @@ class Pipeline {
       if (options.flash_in_camera)
         for (int i = 0; i < 3; ++i) h.add((*options.flash_in_camera)[i]);
       photo.gbuffer_key = h.hex();
-      const Json info = task("raycast/" + photo.input->key, photo.gbuffer_key, {folder_.gbuffer(photo.input->key)}, [&] {
-        const surfels::GBufferStats s = surfels::write_gbuffer(store, photo.camera, options, folder_.gbuffer(photo.input->key), budget_, report_);
+      const Json info = run_.task("raycast/" + photo.input->key, photo.gbuffer_key, {run_.folder.gbuffer(photo.input->key)}, [&] {
+        const surfels::GBufferStats s = surfels::write_gbuffer(store, photo.camera, options, run_.folder.gbuffer(photo.input->key), run_.budget, run_.report);
         return Json{{"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"rays", s.rays}, {"shadow_rays", s.shadow_rays}, {"surfels", s.surfels},
                     {"chunks", s.chunks}, {"chunks_hidden", s.chunks_hidden}, {"tiles", s.tiles}};
       });
@@ -301,18 +259,12 @@ class Pipeline {
         leave_out(*photo.input, "it sees nothing of the cloud");
         continue;
       }
-      record_.count("rays_primary", info["rays"]);
-      record_.count("rays_shadow", info["shadow_rays"]);
+      run_.record.count("rays_primary", info["rays"]);
+      run_.record.count("rays_shadow", info["shadow_rays"]);
       kept.push_back(std::move(photo));
     }
     shoot.photos = std::move(kept);
     require_photographs();
-  }
-
-  optimize::ObserveInput observe_input(const Shoot& shoot, const Photo& p) const {
-    optimize::ObserveInput input{p.camera, folder_.radiance(p.input->key), folder_.gbuffer(p.input->key), p.noise, {}, shoot.ambient_scale};
-    if (shoot.has_flash()) input.flash_in_camera = shoot.acquisition->flash->offset_in_camera;
-    return input;
   }
 
   /// All photographs that share the lights of a lead, its own first.
@@ -323,7 +275,7 @@ class Pipeline {
     input.sky = sky_model(a.ambient);
     input.try_floor = a.floor != FloorModel::kNone;
     input.floor_plane = a.floor_plane;
-    input.method = solve_method(project_.method);
+    input.method = solve_method(run_.project.method);
     std::vector<Shoot*> shoots{&shoots_[lead]};
     for (std::size_t i = 0; i < shoots_.size(); ++i)
       if (i != lead && shoots_[i].lead == lead) shoots.push_back(&shoots_[i]);
@@ -332,9 +284,9 @@ class Pipeline {
         photo.index_in_lights = input.photographs.size();
         for (const ReferenceInput& r : shoot->acquisition->references)
           if (r.photograph == photo.index_in_acquisition) input.references.push_back({photo.index_in_lights, r.polygon, r.albedo, r.sigma});
-        input.photographs.push_back(observe_input(*shoot, photo));
+        input.photographs.push_back(run_.observe_input(*shoot, photo));
         input.names.push_back(photo.input->key);
-        record_.count(shoot->has_flash() ? "photographs_with_flash" : "photographs_without_flash", 1);
+        run_.record.count(shoot->has_flash() ? "photographs_with_flash" : "photographs_without_flash", 1);
       }
     return input;
   }
@@ -345,9 +297,9 @@ class Pipeline {
     const optimize::AcquisitionInput input = acquisition_input(lead);
     if (std::none_of(input.photographs.begin(), input.photographs.end(), [](const optimize::ObserveInput& p) { return p.flash_in_camera.has_value(); })) return;
     optimize::AcquisitionOptions options;
-    options.seed = project_.seed;
-    options.max_proxy_surfels = std::min(options.max_proxy_surfels, std::max<std::uint64_t>(2000, optimize::proxy_surfels_within(budget_.limit_bytes() / 2, options.rays)));
-    const std::filesystem::path folder = folder_.acquisition(a.name);
+    options.seed = run_.project.seed;
+    options.max_proxy_surfels = std::min(options.max_proxy_surfels, std::max<std::uint64_t>(2000, optimize::proxy_surfels_within(run_.budget.limit_bytes() / 2, options.rays)));
+    const std::filesystem::path folder = run_.folder.acquisition(a.name);
     make_folder(folder);
     Hasher h = keyed("gather");
     h.add(options.seed).add(options.proxy_surfels).add(options.max_proxy_surfels).add(static_cast<std::uint64_t>(options.rays));
@@ -356,8 +308,8 @@ class Pipeline {
     if (input.floor_plane)
       for (const double v : *input.floor_plane) h.add(v);
     shoot.transport_key = h.hex();
-    task("gather/" + a.name, shoot.transport_key, {folder / "proxy.bin", folder / "transport.bin", folder / "floor.bin"}, [&] {
-      optimize::gather_scene(store, input, options, folder, budget_, report_);
+    run_.task("gather/" + a.name, shoot.transport_key, {folder / "proxy.bin", folder / "transport.bin", folder / "floor.bin"}, [&] {
+      optimize::gather_scene(store, input, options, folder, run_.budget, run_.report);
       return Json::object();
     });
     h.add("light").add(static_cast<std::uint64_t>(input.method)).add(static_cast<std::uint64_t>(input.sky)).add(static_cast<std::uint64_t>(options.light_samples));
@@ -370,15 +322,15 @@ class Pipeline {
     }
     shoot.light_key = h.hex();
     std::vector<std::filesystem::path> outputs{optimize::proxy_albedo_path(folder)};
-    const Json info = task("light/" + a.name, shoot.light_key, outputs, [&] {
+    const Json info = run_.task("light/" + a.name, shoot.light_key, outputs, [&] {
       const optimize::Scene scene = optimize::load_scene(store, folder);
-      return light_json(optimize::solve_acquisition(store, scene, input, options, folder, budget_, report_));
+      return light_json(optimize::solve_acquisition(store, scene, input, options, folder, run_.budget, run_.report));
     });
     shoot.lights = lights_from_json(info);
-    for (const std::string& n : shoot.lights.notes) note_both(n);
+    for (const std::string& n : shoot.lights.notes) run_.note_both(n);
     for (std::size_t k = 0; k < shoot.lights.exposures.size(); ++k)
       if (const double e = shoot.lights.exposures[k]; e != 1)
-        note_both(concat(input.names[k], ": ", format_number(e, 3), " times as bright as the other photographs of its acquisition say; this was taken out before the lights were solved"));
+        run_.note_both(concat(input.names[k], ": ", format_number(e, 3), " times as bright as the other photographs of its acquisition say; this was taken out before the lights were solved"));
     if (shoot.lights.proxy_seen == 0 && input.method != Method::kDirect && input.method != Method::kAdam)
       throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph; are cameras and cloud in the same frame?"));
   }
@@ -466,10 +418,10 @@ class Pipeline {
     if (shoot.photos.empty()) return;
     const Acquisition& a = *shoot.acquisition;
     const Shoot& lead = shoots_[shoot.lead];
-    const std::filesystem::path folder = folder_.acquisition(lead.acquisition->name);
+    const std::filesystem::path folder = run_.folder.acquisition(lead.acquisition->name);
     std::unique_ptr<optimize::Scene> scene;   // loaded once, and only if some photograph needs it
     optimize::AlbedoOptions options;
-    options.direct_only = project_.method == SolveMethod::kDirect;
+    options.direct_only = run_.project.method == SolveMethod::kDirect;
     for (Photo& photo : shoot.photos) {
       const std::size_t k = photo.index_in_lights;
       if (lead.lights.strangers[k]) {
@@ -479,17 +431,17 @@ class Pipeline {
       Hasher h = keyed("albedo");
       h.add(lead.light_key).add(photo.gbuffer_key).add(photo.radiance_key);
       photo.albedo_key = h.hex();
-      const std::filesystem::path pictures = folder_.pictures(photo.input->key), raster = folder_.albedo(photo.input->key);
-      const Json info = task("albedo/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr", pictures / "sigma.exr", pictures / "light.exr"}, [&] {
+      const std::filesystem::path pictures = run_.folder.pictures(photo.input->key), raster = run_.folder.albedo(photo.input->key);
+      const Json info = run_.task("albedo/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr", pictures / "sigma.exr", pictures / "light.exr"}, [&] {
         if (!scene) scene = std::make_unique<optimize::Scene>(optimize::load_scene(store, folder));
         options.errors = lead.lights.errors[lead.lights.light_of_photograph[k]];
         const Vec3d flash = photo.camera.pose.world_from_camera(a.flash->offset_in_camera);
-        const optimize::AlbedoStats s = optimize::solve_albedo(*scene, observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
-                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), photo.camera.pose.rotation_camera_from_world.transpose() * lead.lights.flash_shift, lead.lights.exposures[k]}, options, raster, report_);
+        const optimize::AlbedoStats s = optimize::solve_albedo(*scene, run_.observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
+                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), photo.camera.pose.rotation_camera_from_world.transpose() * lead.lights.flash_shift, lead.lights.exposures[k]}, options, raster, run_.report);
         optimize::write_albedo_pictures(raster, pictures);
         return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
       });
-      record_.count("pixels_solved", info["pixels_solved"]);
+      run_.record.count("pixels_solved", info["pixels_solved"]);
     }
   }
 
@@ -498,9 +450,9 @@ class Pipeline {
       Hasher h = keyed("colour");
       h.add(photo.radiance_key).add(photo.gbuffer_key);
       photo.albedo_key = h.hex();
-      const std::filesystem::path pictures = folder_.pictures(photo.input->key), raster = folder_.albedo(photo.input->key);
-      task("colour/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr"}, [&] {
-        optimize::colour_as_albedo(observe_input(shoot, photo), raster, report_);
+      const std::filesystem::path pictures = run_.folder.pictures(photo.input->key), raster = run_.folder.albedo(photo.input->key);
+      run_.task("colour/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr"}, [&] {
+        optimize::colour_as_albedo(run_.observe_input(shoot, photo), raster, run_.report);
         optimize::write_albedo_pictures(raster, pictures);
         return Json::object();
       });
@@ -510,8 +462,8 @@ class Pipeline {
   void write_lights() {
     Json all = Json::array();
     for (const Shoot& shoot : shoots_) {
-      Json a{{"acquisition", shoot.acquisition->name}, {"method", name_of(project_.method)}};
-      if (project_.method == SolveMethod::kNone) {
+      Json a{{"acquisition", shoot.acquisition->name}, {"method", name_of(run_.project.method)}};
+      if (run_.project.method == SolveMethod::kNone) {
         a["how"] = "photographs taken as the colour itself; no light was solved";
       } else if (!shoot.has_flash()) {
         a["lights_of"] = shoots_[shoot.lead].acquisition->name;
@@ -522,7 +474,7 @@ class Pipeline {
       }
       all.push_back(a);
     }
-    write_text(folder_.lights(), Json{{"acquisitions", all}}.dump(1) + "\n");
+    write_text(run_.folder.lights(), Json{{"acquisitions", all}}.dump(1) + "\n");
   }
 
   void describe_lights(const Shoot& shoot, Json& a) const {
@@ -584,7 +536,7 @@ class Pipeline {
     for (const Shoot& other : shoots_)
       if (other.lead == shoot.lead) (other.has_flash() ? n : without_flash) += other.photos.size();
     const std::string dark = without_flash > 0 ? concat(" and ", without_flash, " without flash") : std::string();
-    switch (project_.method) {
+    switch (run_.project.method) {
       case SolveMethod::kJoint:
         return n + without_flash > 1 ? concat("jointly over ", n, " photographs", dark, ": log ratios of surfels seen at least twice") : std::string("one photograph: log ratios of pairs of surfels of like chroma");
       case SolveMethod::kSingle:
@@ -597,99 +549,8 @@ class Pipeline {
     return "";
   }
 
-  double shared_sigma() const {
-    // Lights enter the shared plane of every photograph already; nothing is added here.
-    return 0;
-  }
-
-  void blend(const stream::Store& store) {
-    std::vector<blend::BlendPhotograph> photographs;
-    Hasher h = keyed("blend 4");
-    h.add(store_key_);
-    for (const Shoot& shoot : shoots_)
-      for (const Photo& p : shoot.photos) {
-        if (p.albedo_key.empty()) continue;   // without flash
-        photographs.push_back({p.input->key, p.camera, folder_.gbuffer(p.input->key), folder_.albedo(p.input->key), folder_.radiance(p.input->key)});
-        h.add(p.albedo_key).add(p.input->key);
-      }
-    h.add(std::uint64_t{project_.blend.reject}).add(static_cast<std::uint64_t>(project_.blend.gain)).add(std::uint64_t{project_.blend.align});
-    record_.count("photographs_used", photographs.size());
-    layer_key_ = h.hex();
-    const Json info = task("blend", layer_key_, {folder_.store() / "layers" / "albedo"}, [&] {
-      blend::BlendOptions options;
-      options.shared_sigma = shared_sigma();
-      options.reject = project_.blend.reject;
-      options.align = project_.blend.align;
-      options.gain = blend_gain(project_.blend.gain);
-      options.provenance_json = Json{{"method", name_of(project_.method)}, {"key", layer_key_}, {"photographs", photographs.size()}}.dump();
-      make_folder(folder_.scratch());
-      const blend::BlendStats s = blend::blend(store, photographs, options, folder_.scratch(), budget_, report_);
-      return Json::parse(blend_record_json(s, photographs));
-    });
-    record_.count("points_seen", info["points_seen"]);
-    record_.count("points_unseen", info["points"].get<std::uint64_t>() - info["points_seen"].get<std::uint64_t>());
-    record_.count("points_disputed", info["points_disputed"]);
-    record_.count("samples", info["samples"]);
-    for (const auto& n : info["notes"]) note_both(n.get<std::string>());
-    record_.set("blending", info.dump());
-    record_cameras(info["photographs"]);
-  }
-
-  /// Of the photographs that are in the result; `found`: what blending says of each, in the same order.
-  void record_cameras(const Json& found) const {
-    std::vector<PhotographCamera> cameras;
-    for (const Shoot& shoot : shoots_)
-      for (const Photo& p : shoot.photos) {
-        if (p.albedo_key.empty()) continue;
-        const Json& blended = found.at(cameras.size());
-        PhotographCamera c{shoot.acquisition->name, p.camera, {}, blended.at("gain").get<std::array<double, 3>>()};
-        if (shoot.has_flash()) c.flash_in_camera = shoot.acquisition->flash->offset_in_camera;
-        if (blended.contains("shift_corrected_px")) {
-          c.shift_px = blended["shift_corrected_px"].get<std::array<double, 2>>();
-          c.trust = blended["trust"];
-        }
-        cameras.push_back(std::move(c));
-      }
-    write_camera_record(folder_.cameras(), cameras);
-  }
-
-  void residuals(const stream::Store& store) {
-    for (const Shoot& shoot : shoots_)
-      for (const Photo& p : shoot.photos) {
-        if (p.albedo_key.empty()) continue;
-        Hasher h = keyed("residual");
-        h.add(layer_key_).add(p.albedo_key);
-        const std::filesystem::path picture = folder_.pictures(p.input->key) / "residual.exr";
-        task("residual/" + p.input->key, h.hex(), {picture}, [&] {
-          const stream::Layer layer(store, "albedo");
-          const double rms = optimize::write_residual(store, layer, observe_input(shoot, p), folder_.albedo(p.input->key), picture, report_);
-          return Json{{"relative_rms", rms}};
-        });
-      }
-  }
-
-  void export_layer(const stream::Store& store, const ExportInput& e) {
-    const std::filesystem::path file = folder_.root / e.file;
-    Hasher h = keyed("export");
-    h.add(layer_key_).add(e.file).add(std::uint64_t{e.fill});
-    const Json info = task("export/" + e.file, h.hex(), {file}, [&] {
-      ExportOptions options;
-      options.file = file;
-      options.fill = e.fill;
-      make_folder(folder_.scratch());
-      const ExportStats s = export_points(store, options, folder_.scratch(), budget_, report_);
-      return Json{{"points", s.points}, {"points_unseen", s.points_unseen}, {"points_filled", s.points_filled}, {"positions_from_store", s.positions_from_store}};
-    });
-    record_.count("points_out", info["points"]);
-  }
-
-  const Project& project_;
-  const RunFolder folder_;
-  const TaskLog tasks_;
-  MemoryBudget& budget_;
-  RunRecord& record_;
-  Reporter& report_;
-  std::string store_key_, layer_key_;
+  RunContext run_;
+  std::string store_key_;
   std::vector<Shoot> shoots_;
 };
 

@@ -2,19 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <map>
-#include <nlohmann/json.hpp>
 #include <set>
 #include <system_error>
-#include <toml++/toml.h>
 
-#include "stream/base/budget.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/store/layer.h"
 #include "tools/glob.h"
-#include "tools/suggest.h"
+#include "tools/project_toml.h"
 
 namespace chiaro::tools {
 namespace fs = std::filesystem;
@@ -22,188 +19,6 @@ namespace {
 
 constexpr std::uint64_t kMaxFileBytes = 4u << 20;
 constexpr std::size_t kMaxPhotographs = 1'000'000;
-
-// Positions ------------------------------------------------------------------------------------------------------------------------
-
-/// "project.toml:12:5: ", or "--set solve.method=adm: " for what came from the command line.
-std::string where(const toml::source_region& region) {
-  if (!region.path) return "";
-  if (region.path->starts_with("--set ") || !region.begin) return *region.path + ": ";
-  return concat(*region.path, ':', region.begin.line, ':', region.begin.column, ": ");
-}
-
-[[noreturn]] void fail(const toml::source_region& region, const std::string& text) { throw UsageError(where(region) + text); }
-[[noreturn]] void fail(const toml::node& node, const std::string& text) { fail(node.source(), text); }
-
-const char* kind_of(const toml::node& node) {
-  switch (node.type()) {
-    case toml::node_type::table: return "a table";
-    case toml::node_type::array: return "an array";
-    case toml::node_type::string: return "a text";
-    case toml::node_type::integer: return "a whole number";
-    case toml::node_type::floating_point: return "a number";
-    case toml::node_type::boolean: return "true or false";
-    default: return "a date or time";
-  }
-}
-
-[[noreturn]] void wrong_kind(const toml::node& node, const std::string& key, const std::string& expected) {
-  fail(node, concat(key, ": expected ", expected, ", found ", kind_of(node)));
-}
-
-// Single values --------------------------------------------------------------------------------------------------------------------
-
-/// Names of files and things: no empty text, no control characters (a path with a NUL byte would be another path).
-std::string as_text(const toml::node& node, const std::string& key) {
-  const auto* text = node.as_string();
-  if (!text) wrong_kind(node, key, "a text");
-  if (text->get().empty()) fail(node, key + ": expected a text, found an empty one");
-  for (const char c : text->get())
-    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) fail(node, key + ": control characters are not allowed");
-  return text->get();
-}
-
-double as_number(const toml::node& node, const std::string& key) {
-  double value = 0;
-  if (const auto* number = node.as_floating_point()) value = number->get();
-  else if (const auto* whole = node.as_integer()) value = static_cast<double>(whole->get());
-  else wrong_kind(node, key, "a number");
-  if (!std::isfinite(value)) fail(node, key + ": expected a finite number");
-  return value;
-}
-
-std::int64_t as_whole(const toml::node& node, const std::string& key, std::int64_t min, std::int64_t max) {
-  const auto* whole = node.as_integer();
-  if (!whole) wrong_kind(node, key, "a whole number");
-  if (whole->get() < min || whole->get() > max) fail(node, concat(key, ": ", whole->get(), " is outside ", min, " .. ", max));
-  return whole->get();
-}
-
-bool as_switch(const toml::node& node, const std::string& key) {
-  const auto* value = node.as_boolean();
-  if (!value) wrong_kind(node, key, "true or false");
-  return value->get();
-}
-
-std::vector<double> as_numbers(const toml::node& node, const std::string& key, std::size_t count) {
-  const auto* array = node.as_array();
-  if (!array) wrong_kind(node, key, concat("an array of ", count, " numbers"));
-  if (array->size() != count) fail(node, concat(key, ": expected ", count, " numbers, found ", array->size()));
-  std::vector<double> values;
-  for (const toml::node& element : *array) values.push_back(as_number(element, key));
-  return values;
-}
-
-std::uint64_t as_bytes(const toml::node& node, const std::string& key) {
-  if (node.is_integer()) return static_cast<std::uint64_t>(as_whole(node, key, 1, std::int64_t{1} << 60));
-  const std::string text = as_text(node, key);
-  try {
-    return parse_bytes(text);
-  } catch (const UsageError& e) {
-    fail(node, concat(key, ": ", e.what()));
-  }
-}
-
-// Choices: one table of words an enumeration ---------------------------------------------------------------------------------------
-
-template <class E>
-using Words = std::vector<std::pair<const char*, E>>;
-const Words<Normals>& words_of(Normals) { static const Words<Normals> w{{"auto", Normals::kAuto}, {"file", Normals::kFile}, {"estimate", Normals::kEstimate}, {"none", Normals::kNone}}; return w; }
-const Words<Outliers>& words_of(Outliers) { static const Words<Outliers> w{{"none", Outliers::kNone}, {"statistical", Outliers::kStatistical}}; return w; }
-const Words<Alignment>& words_of(Alignment) { static const Words<Alignment> w{{"none", Alignment::kNone}, {"icp", Alignment::kIcp}}; return w; }
-const Words<Encoding>& words_of(Encoding) {
-  static const Words<Encoding> w{{"auto", Encoding::kAuto}, {"linear", Encoding::kLinear}, {"srgb", Encoding::kSrgb}, {"raw", Encoding::kRaw}};
-  return w;
-}
-const Words<AmbientModel>& words_of(AmbientModel) {
-  static const Words<AmbientModel> w{{"auto", AmbientModel::kAuto}, {"none", AmbientModel::kNone}, {"uniform", AmbientModel::kUniform},
-                                     {"sh1", AmbientModel::kSh1}, {"sh2", AmbientModel::kSh2}};
-  return w;
-}
-const Words<FloorModel>& words_of(FloorModel) {
-  static const Words<FloorModel> w{{"auto", FloorModel::kAuto}, {"none", FloorModel::kNone}};
-  return w;
-}
-const Words<SolveMethod>& words_of(SolveMethod) {
-  static const Words<SolveMethod> w{{"joint", SolveMethod::kJoint}, {"single", SolveMethod::kSingle}, {"adam", SolveMethod::kAdam},
-                                    {"direct", SolveMethod::kDirect}, {"none", SolveMethod::kNone}};
-  return w;
-}
-const Words<BlendGain>& words_of(BlendGain) {
-  static const Words<BlendGain> w{{"none", BlendGain::kNone}, {"grey", BlendGain::kGrey}, {"channels", BlendGain::kChannels}};
-  return w;
-}
-const Words<AcquisitionRole>& words_of(AcquisitionRole) {
-  static const Words<AcquisitionRole> w{{"flash", AcquisitionRole::kFlash}, {"no_flash", AcquisitionRole::kNoFlash}};
-  return w;
-}
-
-template <class E>
-const char* word_of(E value) {
-  for (const auto& [word, known] : words_of(value))
-    if (known == value) return word;
-  return "?";
-}
-
-template <class E>
-E as_choice(const toml::node& node, const std::string& key, E example) {
-  const std::string text = as_text(node, key);
-  std::vector<std::string> known;
-  for (const auto& [word, value] : words_of(example)) {
-    if (text == word) return value;
-    known.push_back(word);
-  }
-  fail(node, concat(key, ": unknown value \"", text, "\"", suggestion(text, known)));
-}
-
-// Tables ---------------------------------------------------------------------------------------------------------------------------
-
-/// A table whose keys are all known: unknown ones are refused first, as a mistyped key would otherwise show up as something missing.
-class Section {
- public:
-  Section(const toml::table& table, std::string name, const std::vector<std::string>& keys) : table_(table), name_(std::move(name)) {
-    for (const auto& [key, node] : table_) {
-      if (std::find(keys.begin(), keys.end(), key.str()) != keys.end()) continue;
-      const toml::source_region& region = key.source().begin ? key.source() : node.source();
-      fail(region, concat("unknown key \"", key.str(), "\"", name_.empty() ? "" : " in [" + name_ + "]", suggestion(key.str(), keys)));
-    }
-  }
-
-  const toml::node* find(const std::string& key) const { return table_.get(key); }
-  const toml::node& need(const std::string& key, const std::string& hint) const {
-    if (const toml::node* node = find(key)) return *node;
-    fail(table_.source(), concat(path(key), " is missing: ", hint));
-  }
-  std::string path(const std::string& key) const { return name_.empty() ? key : name_ + "." + key; }
-
-  template <class E>
-  void choice(const std::string& key, E& value) const {
-    if (const toml::node* node = find(key)) value = as_choice(*node, path(key), value);
-  }
-  void text(const std::string& key, std::string& value) const {
-    if (const toml::node* node = find(key)) value = as_text(*node, path(key));
-  }
-
- private:
-  const toml::table& table_;
-  std::string name_;
-};
-
-const toml::table& as_table(const toml::node& node, const std::string& key) {
-  const auto* table = node.as_table();
-  if (!table) wrong_kind(node, key, "a table");
-  return *table;
-}
-
-/// A table, or an array of tables: [acquisition] is one as good as [[acquisition]].
-std::vector<const toml::table*> as_tables(const toml::node& node, const std::string& key) {
-  if (const auto* table = node.as_table()) return {table};
-  const auto* array = node.as_array();
-  if (!array) wrong_kind(node, key, "tables ([[" + key + "]])");
-  std::vector<const toml::table*> tables;
-  for (const toml::node& element : *array) tables.push_back(&as_table(element, key));
-  return tables;
-}
 
 // Files ----------------------------------------------------------------------------------------------------------------------------
 
@@ -504,13 +319,34 @@ void read_run(const toml::node* node, Project& project) {
     project.seed = static_cast<std::uint64_t>(as_whole(*seed, "run.seed", 0, std::numeric_limits<std::int64_t>::max()));
 }
 
+/// A folder in the store, and a file's name where no export is named.
+void read_layer(const Section& blend, std::string& layer) {
+  const toml::node* node = blend.find("layer");
+  if (!node) return;
+  layer = as_text(*node, "blend.layer");
+  if (!stream::is_layer_name(layer)) fail(*node, "blend.layer: expected letters, digits, '_', '-' and '.', at most 128, no dot in front and neither .part nor .old at the end");
+  if (layer == "input") fail(*node, "blend.layer: \"input\" is the layer of the cloud's own colour");
+}
+
+void read_blend(const toml::node* node, BlendInput& blend) {
+  if (!node) return;
+  const Section section(as_table(*node, "blend"), "blend", {"layer", "keep", "reject", "gain", "align"});
+  read_layer(section, blend.layer);
+  if (const toml::node* keep = section.find("keep")) blend.keep = as_switch(*keep, "blend.keep");
+  if (const toml::node* reject = section.find("reject")) blend.reject = as_switch(*reject, "blend.reject");
+  if (const toml::node* align = section.find("align")) blend.align = as_switch(*align, "blend.align");
+  section.choice("gain", blend.gain);
+}
+
 void read_exports(const toml::node* node, Project& project) {
+  for (ExportInput& one : project.exports) one.file = project.blend.layer + ".ply";
   if (!node) return;
   project.exports.clear();
   std::set<std::string> files;
   for (const toml::table* table : as_tables(*node, "export")) {
     const Section section(*table, "export", {"file", "fill"});
     ExportInput one;
+    one.file = project.blend.layer + ".ply";
     // `--set export.fill=true` on a project without [[export]] means the default file.
     if (const toml::node* file = section.find("file")) {
       one.file = as_text(*file, "export.file");
@@ -521,106 +357,6 @@ void read_exports(const toml::node* node, Project& project) {
     if (const toml::node* fill = section.find("fill")) one.fill = as_switch(*fill, "export.fill");
     if (!files.insert(fs::path(one.file).lexically_normal().string()).second) fail(table->source(), concat("export.file: ", one.file, " is written twice"));
     project.exports.push_back(std::move(one));
-  }
-}
-
-// Overrides ------------------------------------------------------------------------------------------------------------------------
-
-std::string toml_quoted(const std::string& text) {
-  std::string out = "\"";
-  for (const char c : text) {
-    if (c == '"' || c == '\\') out += '\\';
-    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) throw UsageError("--set: control characters are not allowed");
-    out += c;
-  }
-  return out + '"';
-}
-
-/// The value as a document with the one key "v"; its nodes carry the option as their path.
-toml::table parse_value(const std::string& value, const std::string& source) {
-  try {
-    toml::table table = toml::parse("v = " + value, source);
-    if (table.size() == 1 && table.contains("v")) return table;
-  } catch (const toml::parse_error&) {
-  }
-  try {
-    return toml::parse("v = " + toml_quoted(value), source);
-  } catch (const toml::parse_error& e) {
-    throw UsageError(concat(source, ": ", e.description()));
-  }
-}
-
-std::vector<std::string> split_key(const std::string& key, const std::string& source) {
-  std::vector<std::string> parts;
-  std::size_t from = 0;
-  do {
-    const std::size_t dot = std::min(key.find('.', from), key.size());
-    parts.push_back(key.substr(from, dot - from));
-    if (parts.back().empty()) throw UsageError(source + ": expected key=value with a dotted key such as solve.method=adam");
-    from = dot + 1;
-  } while (from <= key.size());
-  if (parts.size() > 8) throw UsageError(source + ": the key has more than 8 parts");
-  return parts;
-}
-
-struct Override {
-  std::string source, value;
-  std::vector<std::string> key;
-};
-
-void apply(toml::table& table, const Override& set, std::size_t depth);
-
-void apply_to_array(toml::array& array, const Override& set, std::size_t depth) {
-  const std::string& part = set.key[depth];
-  if (part.find_first_not_of("0123456789") == std::string::npos && part.size() < 8) {
-    const std::size_t index = std::stoul(part);
-    if (index >= array.size() || !array[index].is_table() || depth + 1 == set.key.size())
-      throw UsageError(concat(set.source, ": there is no table number ", index, " (the first is 0, there are ", array.size(), ")"));
-    return apply(*array[index].as_table(), set, depth + 1);
-  }
-  // An element of that name, else all of them.
-  for (toml::node& element : array) {
-    toml::table* table = element.as_table();
-    if (table && table->get("name") && table->get("name")->value_or(std::string()) == part && depth + 1 < set.key.size()) return apply(*table, set, depth + 1);
-  }
-  for (toml::node& element : array)
-    if (toml::table* table = element.as_table()) apply(*table, set, depth);
-}
-
-void apply(toml::table& table, const Override& set, std::size_t depth) {
-  const std::string& part = set.key[depth];
-  if (depth + 1 == set.key.size()) {
-    toml::table parsed = parse_value(set.value, set.source);
-    std::move(*parsed.get("v")).visit([&](auto&& value) { table.insert_or_assign(part, std::move(value)); });
-    return;
-  }
-  toml::node* next = table.get(part);
-  if (!next) {
-    // A new table with the option as its position: parsed, as positions cannot be set by hand.
-    toml::table parsed = parse_value("{}", set.source);
-    table.insert_or_assign(part, std::move(*parsed.get_as<toml::table>("v")));
-    next = table.get(part);
-  }
-  if (next->is_table()) apply(*next->as_table(), set, depth + 1);
-  else if (next->is_array_of_tables()) apply_to_array(*next->as_array(), set, depth + 1);
-  else throw UsageError(concat(set.source, ": \"", part, "\" is ", kind_of(*next), ", not a table"));
-}
-
-std::string trimmed(const std::string& text) {
-  const std::size_t begin = text.find_first_not_of(' '), end = text.find_last_not_of(' ');
-  return begin == std::string::npos ? "" : text.substr(begin, end - begin + 1);
-}
-
-void apply_overrides(toml::table& root, std::span<const std::string> overrides) {
-  for (const std::string& text : overrides) {
-    Override set;
-    set.source = "--set " + text;
-    const std::size_t equals = text.find('=');
-    if (equals == std::string::npos) throw UsageError(set.source + ": expected key=value");
-    const std::string key = trimmed(text.substr(0, equals));
-    set.value = trimmed(text.substr(equals + 1));
-    set.key = split_key(key, set.source);
-    apply(root, set, 0);
   }
 }
 
@@ -651,16 +387,6 @@ toml::table parse_file(const fs::path& path) {
 
 }  // namespace
 
-const char* name_of(Normals value) { return word_of(value); }
-const char* name_of(Outliers value) { return word_of(value); }
-const char* name_of(Alignment value) { return word_of(value); }
-const char* name_of(Encoding value) { return word_of(value); }
-const char* name_of(AmbientModel value) { return word_of(value); }
-const char* name_of(FloorModel value) { return word_of(value); }
-const char* name_of(SolveMethod value) { return word_of(value); }
-const char* name_of(BlendGain value) { return word_of(value); }
-const char* name_of(AcquisitionRole value) { return word_of(value); }
-
 Project load_project(const fs::path& path, std::span<const std::string> overrides) {
   toml::table root = parse_file(path);
   apply_overrides(root, overrides);
@@ -680,67 +406,12 @@ Project load_project(const fs::path& path, std::span<const std::string> override
     const Section method(as_table(*solve, "solve"), "solve", {"method"});
     method.choice("method", project.method);
   }
-  if (const toml::node* blend = section.find("blend")) {
-    const Section options(as_table(*blend, "blend"), "blend", {"reject", "gain", "align"});
-    if (const toml::node* reject = options.find("reject")) project.blend.reject = as_switch(*reject, "blend.reject");
-    if (const toml::node* align = options.find("align")) project.blend.align = as_switch(*align, "blend.align");
-    options.choice("gain", project.blend.gain);
-  }
+  read_blend(section.find("blend"), project.blend);
   read_run(section.find("run"), project);
   read_exports(section.find("export"), project);
   return project;
 }
 
 fs::path default_output(const Project& project) { return project.file.parent_path() / (project.name + ".out"); }
-
-namespace {
-using Json = nlohmann::ordered_json;
-
-Json json_of(const Acquisition& acquisition) {
-  Json out{{"name", acquisition.name}, {"role", name_of(acquisition.role)}, {"encoding", name_of(acquisition.encoding)}};
-  for (const PhotographInput& photograph : acquisition.photographs) {
-    Json one{{"key", photograph.key}, {"file", photograph.file.string()}};
-    if (!photograph.mask.empty()) one["mask"] = photograph.mask.string();
-    out["photographs"].push_back(std::move(one));
-  }
-  out["cameras"] = acquisition.cameras.string();
-  out["noise"] = acquisition.noise ? Json{{"gain", acquisition.noise->gain}, {"read_sigma", acquisition.noise->read_sigma}} : Json(nullptr);
-  out["flash"] = nullptr;
-  if (acquisition.flash) {
-    const Vec3d& offset = acquisition.flash->offset_in_camera;
-    out["flash"] = Json{{"offset_in_camera", {offset.x(), offset.y(), offset.z()}}, {"intensity_range", nullptr}};
-    if (acquisition.flash->intensity_range) out["flash"]["intensity_range"] = *acquisition.flash->intensity_range;
-  }
-  out["ambient"] = Json{{"model", name_of(acquisition.ambient)}, {"floor", name_of(acquisition.floor)}};
-  if (acquisition.floor_plane) out["ambient"]["floor"] = *acquisition.floor_plane;
-  if (acquisition.exposure_s) out["exposure_s"] = *acquisition.exposure_s;
-  out["reference"] = Json::array();
-  for (const ReferenceInput& reference : acquisition.references) {
-    Json corners = Json::array();
-    for (const Vec2d& corner : reference.polygon) corners.push_back({corner.x(), corner.y()});
-    out["reference"].push_back({{"photograph", acquisition.photographs[reference.photograph].stem}, {"polygon", corners}, {"albedo", reference.albedo}, {"sigma", reference.sigma}});
-  }
-  return out;
-}
-}  // namespace
-
-std::string to_json(const Project& project) {
-  Json out;
-  out["file"] = project.file.string();
-  out["project"] = {{"name", project.name}, {"unit", project.unit}, {"metres_per_unit", project.metres_per_unit}};
-  out["cloud"] = {{"files", Json::array()}, {"normals", name_of(project.cloud.normals)}, {"outliers", name_of(project.cloud.outliers)}, {"align", name_of(project.cloud.align)}};
-  for (const fs::path& file : project.cloud.files) out["cloud"]["files"].push_back(file.string());
-  out["acquisition"] = Json::array();
-  for (const Acquisition& acquisition : project.acquisitions) {
-    out["acquisition"].push_back(json_of(acquisition));
-    if (acquisition.lights_of) out["acquisition"].back()["lights_of"] = project.acquisitions[*acquisition.lights_of].name;
-  }
-  out["solve"] = {{"method", name_of(project.method)}};
-  out["blend"] = {{"reject", project.blend.reject}, {"gain", name_of(project.blend.gain)}, {"align", project.blend.align}};
-  out["run"] = {{"memory", project.memory_bytes}, {"threads", project.threads}, {"seed", project.seed}};
-  out["export"] = Json::array();
-  for (const ExportInput& one : project.exports) out["export"].push_back({{"file", one.file}, {"fill", one.fill}});
-  return out.dump(2, ' ', false, Json::error_handler_t::replace);
-}
 
 }  // namespace chiaro::tools

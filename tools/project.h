@@ -86,13 +86,15 @@ struct Acquisition {
 };
 
 struct BlendInput {
+  std::string layer = "albedo";              ///< name of the layer that the run writes; never "input", which holds the cloud's own colour
+  bool keep = false;                         ///< keep the sums, so that photographs can be added or taken away later at the cost of what they see
   bool reject = true;                        ///< leave out readings that most photographs of a point contradict
   BlendGain gain = BlendGain::kGrey;
   bool align = true;                         ///< find photographs that lie beside what the others show, and read them there
 };
 
 struct ExportInput {
-  std::string file = "albedo.ply";           ///< relative to the run's folder; .ply, .las or .pcd
+  std::string file = "albedo.ply";           ///< where none is named: LAYER.ply; relative to the run's folder; .ply, .las or .pcd
   bool fill = false;                         ///< fill unseen points from their neighbours; they keep photos = 0
 };
 

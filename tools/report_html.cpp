@@ -322,6 +322,22 @@ void pictures(Page& page, const ReportData& d) {
   }
 }
 
+/// Where the store holds more than this run's result.
+void layers(Page& page, const ReportData& d) {
+  std::vector<std::vector<std::string>> rows;
+  for (const Json& one : member(d.record, "layers")) {
+    const Json& made = member(one, "provenance");
+    std::string acquisitions;
+    for (const Json& name : member(made, "acquisitions")) acquisitions += (acquisitions.empty() ? "" : ", ") + text_of(name);
+    const bool is_ours = member(one, "this_run").is_boolean() && member(one, "this_run").get<bool>();
+    rows.push_back({text_of(member(one, "name")), text_of(member(made, "method")), counted(count_of(member(made, "photographs"))), acquisitions, is_ours ? "shown here" : ""});
+  }
+  if (rows.size() < 2) return;
+  page.element("h2", "Layers of the store");
+  page.element("p", "Results beside each other on the same points. chiaro compare DIR:ONE DIR:OTHER shows what differs.", "class=\"soft\"");
+  table(page, {"layer", "method", "photographs", "acquisitions", ""}, "wwnww", rows);
+}
+
 // Record ---------------------------------------------------------------------------------------------------------------------------
 
 void times(Page& page, const ReportData& d) {
@@ -385,6 +401,7 @@ std::string report_html(const ReportData& d) {
   left_out(page, d);
   numbers(page, d);
   agreement(page, d);
+  layers(page, d);
   how_to_read(page, d);
   pictures(page, d);
   times(page, d);
@@ -397,7 +414,7 @@ std::string report_html(const ReportData& d) {
 }
 
 Json report_json(const ReportData& d) {
-  Json out{{"version", text_of(member(d.record, "version"))}, {"project", d.status.project}, {"method", d.status.method}};
+  Json out{{"version", text_of(member(d.record, "version"))}, {"project", d.status.project}, {"method", d.status.method}, {"layers", member(d.record, "layers")}};
   out["headline"] = {{"points_in", d.count("points_in")},
                      {"points_out", d.count("points_out")},
                      {"points_seen", d.count("points_seen")},

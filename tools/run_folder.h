@@ -9,6 +9,8 @@ struct RunFolder {
   std::filesystem::path root;
 
   std::filesystem::path store() const { return root / "store.chiaro"; }
+  /// Of the task that writes a layer; the default one has the plain name.
+  static std::string blend_task(const std::string& layer) { return layer == "albedo" ? "blend" : "blend/" + layer; }
   std::filesystem::path lights() const { return root / "lights.json"; }
   std::filesystem::path record() const { return root / "run.json"; }
   std::filesystem::path report() const { return root / "report"; }
@@ -25,6 +27,8 @@ struct RunFolder {
   std::filesystem::path gbuffer(const std::string& key) const { return photograph(key) / "gbuffer.raster"; }
   std::filesystem::path albedo(const std::string& key) const { return photograph(key) / "albedo.raster"; }
   std::filesystem::path acquisition(const std::string& name) const { return work() / "acquisitions" / name; }
+  /// Sums of a layer that stay for a later run (blend.keep).
+  std::filesystem::path kept(const std::string& layer) const { return work() / "kept" / layer; }
   std::filesystem::path scratch() const { return work() / "scratch"; }
 };
 

@@ -84,7 +84,8 @@ void add_tasks(TaskList& list, const std::vector<Shoot>& shoots, const std::stri
     }
     for (const auto& key : shoot.photographs) list.add(method == "none" ? "colour" : "albedo", key, true);
   }
-  list.add("blend");
+  const std::string layer = text_of(member(member(project, "blend"), "layer"), "albedo");
+  list.add("blend", RunFolder::blend_task(layer) == "blend" ? "" : layer);
   for (const Shoot& shoot : shoots)
     for (const auto& key : shoot.photographs) list.add("residual", key, true);
   for (const Json& e : member(project, "export")) list.add("export", text_of(member(e, "file")));

@@ -50,6 +50,11 @@ bool matches(const Json& marker, const std::string& key, const std::vector<std::
 }
 }  // namespace
 
+void TaskLog::forget(const std::string& name) const {
+  std::error_code code;
+  std::filesystem::remove(marker(name), code);
+}
+
 bool TaskLog::is_done(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs) const {
   return matches(read_marker(marker(name)), key, outputs);
 }

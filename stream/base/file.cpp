@@ -195,6 +195,11 @@ std::uint64_t free_disk_bytes(const fs::path& path) {
   return static_cast<std::uint64_t>(info.f_bavail) * info.f_frsize;
 }
 
+std::uint64_t allocated_bytes(const fs::path& path) {
+  struct stat info {};
+  return ::stat(path.c_str(), &info) == 0 ? static_cast<std::uint64_t>(info.st_blocks) * 512 : 0;
+}
+
 namespace {
 
 fs::path old_path(const fs::path& path) { return path.string() + ".old"; }

@@ -88,6 +88,8 @@ void sync_folder(const std::filesystem::path& folder);
 void make_folder(const std::filesystem::path& folder);
 /// Bytes free for this user on the disk of `path` (its nearest existing parent).
 std::uint64_t free_disk_bytes(const std::filesystem::path& path);
+/// Bytes that a file takes on the disk (holes take none); 0 if it is not there.
+std::uint64_t allocated_bytes(const std::filesystem::path& path);
 /// Publishes a finished folder: syncs `part`, renames it to `path`, syncs the parent. An existing `path` is replaced in one step (in two on file systems that
 /// cannot exchange names, such as NFS). throws Error.
 void publish_folder(const std::filesystem::path& part, const std::filesystem::path& path);

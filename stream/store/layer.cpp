@@ -12,12 +12,16 @@
 
 namespace chiaro::stream {
 namespace fs = std::filesystem;
+
+bool is_layer_name(const std::string& name) {
+  const auto plain = [](char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' || c == '-' || c == '.'; };
+  return !name.empty() && name.size() <= 128 && name[0] != '.' && std::all_of(name.begin(), name.end(), plain) && !name.ends_with(".part") && !name.ends_with(".old");
+}
+
 namespace {
 
 void check_name(const std::string& name) {
-  const auto plain = [](char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' || c == '-' || c == '.'; };
-  const bool ok = !name.empty() && name.size() <= 128 && name[0] != '.' && std::all_of(name.begin(), name.end(), plain) && !name.ends_with(".part") && !name.ends_with(".old");
-  if (!ok) throw Error(concat("layer name \"", name, "\": expected letters, digits, '_', '-' and '.'"));
+  if (!is_layer_name(name)) throw Error(concat("layer name \"", name, "\": expected letters, digits, '_', '-' and '.'"));
 }
 
 }  // namespace

@@ -63,6 +63,8 @@ class Layer {
   std::unique_ptr<Impl> impl_;
 };
 
+/// Letters, digits, '_', '-' and '.', at most 128, no dot in front, no ending of unfinished folders (.part, .old).
+bool is_layer_name(const std::string& name);
 bool has_layer(const Store& store, const std::string& name);
 std::vector<std::string> layer_names(const Store& store);
 

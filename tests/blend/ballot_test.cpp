@@ -2,7 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <cstring>
+#include <optional>
+#include <vector>
 
 namespace chiaro::blend {
 namespace {
@@ -35,6 +39,39 @@ TEST(Ballot, KeepsTheEightLargestWeights) {
   float least = 1e9f;
   for (const Vote& v : ballot.votes) least = std::min(least, weight_of(v));
   EXPECT_NEAR(least, 93, 0.1f);
+}
+
+TEST(Ballot, HasTheSameBitsInWhateverOrderVotesAreCast) {
+  std::vector<std::uint16_t> order{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11};
+  std::optional<std::vector<std::byte>> expected;
+  for (int turn = 0; turn < 12; ++turn) {
+    Ballot ballot;
+    for (const std::uint16_t k : order) cast_vote(ballot, k, reading(0.1f + 0.05f * static_cast<float>(k), static_cast<float>(1 + k % 2)), 0.5f);   // six of each weight
+    const auto* bytes = reinterpret_cast<const std::byte*>(&ballot);
+    const std::vector<std::byte> found(bytes, bytes + sizeof ballot);
+    if (expected) EXPECT_EQ(found, *expected) << turn;
+    expected = found;
+    std::rotate(order.begin(), order.begin() + 5, order.end());
+    std::swap(order[1], order[7]);
+  }
+}
+
+TEST(Ballot, AWithdrawnVoteLeavesTheOthersAndSaysWhatIsMissing) {
+  Ballot three = ballot_of({reading(0.2f, 1), reading(0.3f, 2), reading(0.4f, 3)});
+  const Ballot two = [] {
+    Ballot b;
+    cast_vote(b, 0, reading(0.2f, 1), 0.5f);
+    cast_vote(b, 2, reading(0.4f, 3), 0.5f);
+    return b;
+  }();
+  const Withdrawal gone = withdraw_vote(three, 1), again = withdraw_vote(three, 1);
+  EXPECT_TRUE(gone.had_voted && gone.is_whole);
+  EXPECT_FALSE(again.had_voted);
+  EXPECT_EQ(std::memcmp(&three, &two, sizeof two), 0);
+  Ballot full;
+  for (std::uint16_t k = 0; k < 9; ++k) cast_vote(full, k, reading(0.5f, static_cast<float>(1 + k)), 0.5f);
+  EXPECT_TRUE(withdraw_vote(full, 0).is_whole);   // was displaced already
+  EXPECT_FALSE(withdraw_vote(full, 5).is_whole);  // and may have displaced the first
 }
 
 TEST(Ballot, TheMajorityIsTheMeanOfThoseThatAgree) {

@@ -17,8 +17,8 @@ function complain(text) { printf "%s:%d: %s\n", FILENAME, FNR, text; bad = 1 }
     else if (rank(there[1]) == 0) complain("includes \"" name "\": quoted includes start at the repository root")
     else if (here[1] != there[1] && rank(there[1]) >= rank(here[1])) complain(here[1] " includes " name ": only folders below it may be included")
     else if (FILENAME ~ /^stream\/base\// && name !~ /^stream\/base\//) complain("stream/base includes " name ": it stands below everything")
-  } else if (FILENAME ~ /^tools\/[a-z_]*_json\.h$/ && name ~ /^nlohmann/) {
-    # The one exception: helpers for JSON itself, at the top of the order where nothing else includes them.
+  } else if (FILENAME ~ /^tools\/[a-z_]*_(json|toml)\.h$/ && name ~ (FILENAME ~ /_json\.h$/ ? "^nlohmann" : "^toml\\+\\+")) {
+    # The one exception: helpers for JSON and TOML themselves, at the top of the order where nothing else includes them.
   } else if (FILENAME ~ /\.h$/ && name ~ library) complain("a header names <" name ">: third-party libraries stay inside .cpp files")
 }
 END { exit bad }'

@@ -310,11 +310,27 @@ TEST_F(ProjectTest, WritesItselfAsJson) {
   EXPECT_EQ(json["export"][1]["fill"], true);
 }
 
+TEST_F(ProjectTest, ALayerHasAPlainNameAndNamesItsExport) {
+  const char* const kMinimal = "[cloud]\nfiles = \"cloud.ply\"\n[[acquisition]]\nphotographs = \"photos/*.exr\"\ncameras = \"sparse\"\n";
+  EXPECT_EQ(load(kValid).blend.layer, "albedo");
+  EXPECT_EQ(load(kValid, Words{"blend.layer=day_2"}).blend.layer, "day_2");
+  EXPECT_EQ(load(kMinimal, Words{"blend.layer=day_2"}).exports.at(0).file, "day_2.ply");
+  EXPECT_EQ(load(kMinimal, Words{"blend.layer=day_2", "export.fill=true"}).exports.at(0).file, "day_2.ply");
+  EXPECT_EQ(load(kMinimal).exports.at(0).file, "albedo.ply");
+  EXPECT_EQ(nlohmann::json::parse(to_json(load(kValid, Words{"blend.layer=day_2"})))["blend"]["layer"], "day_2");
+  for (const char* bad : {"a/b", ".hidden", "day 2", "x.part", "x.old"}) EXPECT_THAT(complaint(kValid, {std::string("blend.layer=\"") + bad + '"'}), HasSubstr("blend.layer: expected letters")) << bad;
+  EXPECT_THAT(complaint(kValid, {"blend.layer=input"}), HasSubstr("the cloud's own colour"));
+  EXPECT_THAT(complaint(kValid, {"blend.layr=x"}), HasSubstr("did you mean \"layer\""));
+}
+
 TEST_F(ProjectTest, BlendingHasItsOwnSection) {
   const Project p = load(kValid);
   EXPECT_FALSE(p.blend.reject || p.blend.align);
   EXPECT_EQ(p.blend.gain, BlendGain::kChannels);
-  const Project q = load(kValid, Words{"blend.gain=none", "blend.align=true"});
+  EXPECT_FALSE(p.blend.keep);
+  const Project q = load(kValid, Words{"blend.gain=none", "blend.align=true", "blend.keep=true"});
+  EXPECT_TRUE(q.blend.keep);
+  EXPECT_THAT(complaint(kValid, {"blend.keep=all"}), HasSubstr("blend.keep: expected true or false"));
   EXPECT_EQ(q.blend.gain, BlendGain::kNone);
   EXPECT_TRUE(q.blend.align);
   EXPECT_THAT(complaint(kValid, {"blend.gain=gray"}), HasSubstr("blend.gain: unknown value \"gray\"; did you mean \"grey\"?"));

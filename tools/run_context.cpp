@@ -1,0 +1,35 @@
+#include "tools/run_context_json.h"
+
+namespace chiaro::tools {
+namespace {
+using Json = nlohmann::ordered_json;
+
+/// Part of every key: raise it when a stage's result changes for the same inputs.
+constexpr std::uint64_t kPipelineVersion = 5;
+}  // namespace
+
+Hasher keyed(std::string_view stage) {
+  Hasher h;
+  h.add(kPipelineVersion).add(stage);
+  return h;
+}
+
+void RunContext::note_both(const std::string& text) {
+  report.note(text);
+  record.note(text);
+}
+
+Json RunContext::task(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs, const std::function<Json()>& body) {
+  report.check();
+  const TaskOutcome outcome = tasks.run(name, key, outputs, [&] { return body().dump(); });
+  record.stage(name, outcome.reused ? 0.0 : outcome.seconds, outcome.reused);
+  return Json::parse(outcome.info_json);
+}
+
+optimize::ObserveInput RunContext::observe_input(const Shoot& shoot, const Photo& p) const {
+  optimize::ObserveInput input{p.camera, folder.radiance(p.input->key), folder.gbuffer(p.input->key), p.noise, {}, shoot.ambient_scale};
+  if (shoot.has_flash()) input.flash_in_camera = shoot.acquisition->flash->offset_in_camera;
+  return input;
+}
+
+}  // namespace chiaro::tools

@@ -1,0 +1,59 @@
+/// What the stages of a run share: the project, its folder, the record, and the photographs on their way. For the .cpp files of `run` only.
+#pragma once
+#include <functional>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "optimize/acquisition.h"
+#include "stream/base/budget.h"
+#include "stream/base/hash.h"
+#include "stream/base/report.h"
+#include "stream/photo/camera.h"
+#include "tools/project.h"
+#include "tools/run_folder.h"
+#include "tools/run_record.h"
+#include "tools/task_log.h"
+
+namespace chiaro::tools {
+
+struct Photo {
+  const PhotographInput* input = nullptr;
+  std::size_t index_in_acquisition = 0;   ///< of the project, for references
+  stream::Camera camera;
+  optimize::PixelNoise noise;
+  std::size_t index_in_lights = 0;        ///< among all photographs that share their lights
+  std::string radiance_key, gbuffer_key, albedo_key;
+};
+
+struct Shoot {
+  const Acquisition* acquisition = nullptr;
+  std::vector<Photo> photos;
+  std::size_t lead = 0;                   ///< number of the shoot whose lights these photographs share: most often its own
+  double ambient_scale = 1;               ///< shutter time beside the lead's
+  bool has_flash() const { return acquisition->flash.has_value(); }
+  // Of a lead:
+  std::string transport_key, light_key;
+  optimize::AcquisitionResult lights;
+};
+
+/// Begins the key of a stage: with the version of the pipeline, raised when a stage's result changes for the same inputs.
+Hasher keyed(std::string_view stage);
+
+struct RunContext {
+  const Project& project;
+  const RunFolder folder;
+  const TaskLog tasks;
+  MemoryBudget& budget;
+  RunRecord& record;
+  Reporter& report;
+
+  /// On the console and in the record.
+  void note_both(const std::string& text);
+  /// Runs a task and enters it in the record.
+  nlohmann::ordered_json task(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs, const std::function<nlohmann::ordered_json()>& body);
+  optimize::ObserveInput observe_input(const Shoot& shoot, const Photo& photo) const;
+};
+
+}  // namespace chiaro::tools

@@ -1,0 +1,160 @@
+#include "tools/run_layer.h"
+
+#include <algorithm>
+#include <nlohmann/json.hpp>
+
+#include "blend/blend.h"
+#include "optimize/pictures.h"
+#include "stream/base/file.h"
+#include "stream/store/layer.h"
+#include "tools/blend_record.h"
+#include "tools/camera_record.h"
+#include "tools/export_points.h"
+#include "tools/run_context_json.h"
+
+namespace chiaro::tools {
+namespace {
+using Json = nlohmann::ordered_json;
+
+blend::Gain blend_gain(BlendGain g) {
+  switch (g) {
+    case BlendGain::kNone: return blend::Gain::kNone;
+    case BlendGain::kChannels: return blend::Gain::kChannels;
+    case BlendGain::kGrey: break;
+  }
+  return blend::Gain::kGrey;
+}
+
+class LayerStages {
+ public:
+  LayerStages(RunContext& run, const std::vector<Shoot>& shoots) : run_(run), shoots_(shoots) {}
+
+  void blend(const stream::Store& store) {
+    std::vector<blend::BlendPhotograph> photographs;
+    Hasher h = keyed("blend 5");
+    h.add(store.manifest().key);
+    for (const Shoot& shoot : shoots_)
+      for (const Photo& p : shoot.photos) {
+        if (p.albedo_key.empty()) continue;   // without flash
+        photographs.push_back({p.input->key, p.camera, run_.folder.gbuffer(p.input->key), run_.folder.albedo(p.input->key), run_.folder.radiance(p.input->key)});
+        h.add(p.albedo_key).add(p.input->key);
+      }
+    h.add(std::uint64_t{run_.project.blend.reject}).add(static_cast<std::uint64_t>(run_.project.blend.gain)).add(std::uint64_t{run_.project.blend.align});
+    run_.record.count("photographs_used", photographs.size());
+    layer_key_ = h.hex();
+    const std::string layer = run_.project.blend.layer;
+    prepare_kept(layer);
+    const Json info = run_.task(RunFolder::blend_task(layer), layer_key_, {run_.folder.store() / "layers" / layer}, [&] {
+      blend::BlendOptions options;
+      options.layer = layer;
+      if (run_.project.blend.keep) options.keep = run_.folder.kept(layer);
+      options.reject = run_.project.blend.reject;
+      options.align = run_.project.blend.align;
+      options.gain = blend_gain(run_.project.blend.gain);
+      options.provenance_json = Json{{"method", name_of(run_.project.method)}, {"key", layer_key_}, {"photographs", photographs.size()}, {"acquisitions", acquisitions()}}.dump();
+      make_folder(run_.folder.scratch());
+      const blend::BlendStats s = blend::blend(store, photographs, options, run_.folder.scratch(), run_.budget, run_.report);
+      return Json::parse(blend_record_json(s, photographs));
+    });
+    run_.record.count("points_seen", info["points_seen"]);
+    run_.record.count("points_unseen", info["points"].get<std::uint64_t>() - info["points_seen"].get<std::uint64_t>());
+    run_.record.count("points_disputed", info["points_disputed"]);
+    run_.record.count("samples", info["samples"]);
+    for (const auto& n : info["notes"]) run_.note_both(n.get<std::string>());
+    run_.record.set("blending", info.dump());
+    record_cameras(info["photographs"]);
+    record_layers(store);
+  }
+
+  void residuals(const stream::Store& store) {
+    for (const Shoot& shoot : shoots_)
+      for (const Photo& p : shoot.photos) {
+        if (p.albedo_key.empty()) continue;
+        Hasher h = keyed("residual");
+        h.add(layer_key_).add(p.albedo_key);
+        const std::filesystem::path picture = run_.folder.pictures(p.input->key) / "residual.exr";
+        run_.task("residual/" + p.input->key, h.hex(), {picture}, [&] {
+          const stream::Layer layer(store, run_.project.blend.layer);
+          const double rms = optimize::write_residual(store, layer, run_.observe_input(shoot, p), run_.folder.albedo(p.input->key), picture, run_.report);
+          return Json{{"relative_rms", rms}};
+        });
+      }
+  }
+
+  void export_layer(const stream::Store& store, const ExportInput& e) {
+    const std::filesystem::path file = run_.folder.root / e.file;
+    Hasher h = keyed("export");
+    h.add(layer_key_).add(e.file).add(std::uint64_t{e.fill});
+    const Json info = run_.task("export/" + e.file, h.hex(), {file}, [&] {
+      ExportOptions options;
+      options.file = file;
+      options.layer = run_.project.blend.layer;
+      options.fill = e.fill;
+      make_folder(run_.folder.scratch());
+      const ExportStats s = export_points(store, options, run_.folder.scratch(), run_.budget, run_.report);
+      return Json{{"points", s.points}, {"points_unseen", s.points_unseen}, {"points_filled", s.points_filled}, {"positions_from_store", s.positions_from_store}};
+    });
+    run_.record.count("points_out", info["points"]);
+  }
+
+ private:
+  /// A layer that was made without its sums is made again with them, where they are wanted; where they are not, they go.
+  void prepare_kept(const std::string& layer) const {
+    std::error_code code;
+    const bool is_there = std::filesystem::exists(run_.folder.kept(layer), code);
+    if (run_.project.blend.keep && !is_there) run_.tasks.forget(RunFolder::blend_task(layer));
+    if (!run_.project.blend.keep && is_there) std::filesystem::remove_all(run_.folder.kept(layer), code);
+  }
+
+  /// Those with photographs in the result.
+  std::vector<std::string> acquisitions() const {
+    std::vector<std::string> names;
+    for (const Shoot& shoot : shoots_)
+      if (std::any_of(shoot.photos.begin(), shoot.photos.end(), [](const Photo& p) { return !p.albedo_key.empty(); })) names.push_back(shoot.acquisition->name);
+    return names;
+  }
+
+  /// All results that the store holds now, this run's among them.
+  void record_layers(const stream::Store& store) const {
+    Json all = Json::array();
+    for (const std::string& name : stream::layer_names(store)) {
+      if (name == "input") continue;
+      const Json provenance = Json::parse(stream::Layer(store, name).provenance_json(), nullptr, false);
+      all.push_back({{"name", name}, {"this_run", name == run_.project.blend.layer}, {"provenance", provenance.is_discarded() ? Json(nullptr) : provenance}});
+    }
+    run_.record.set("layers", all.dump());
+  }
+
+  /// Of the photographs that are in the result; `found`: what blending says of each, in the same order.
+  void record_cameras(const Json& found) const {
+    std::vector<PhotographCamera> cameras;
+    for (const Shoot& shoot : shoots_)
+      for (const Photo& p : shoot.photos) {
+        if (p.albedo_key.empty()) continue;
+        const Json& blended = found.at(cameras.size());
+        PhotographCamera c{shoot.acquisition->name, p.camera, {}, blended.at("gain").get<std::array<double, 3>>()};
+        if (shoot.has_flash()) c.flash_in_camera = shoot.acquisition->flash->offset_in_camera;
+        if (blended.contains("shift_corrected_px")) {
+          c.shift_px = blended["shift_corrected_px"].get<std::array<double, 2>>();
+          c.trust = blended["trust"];
+        }
+        cameras.push_back(std::move(c));
+      }
+    write_camera_record(run_.folder.cameras(), cameras);
+  }
+
+  RunContext& run_;
+  const std::vector<Shoot>& shoots_;
+  std::string layer_key_;
+};
+
+}  // namespace
+
+void write_run_layer(RunContext& run, const stream::Store& store, const std::vector<Shoot>& shoots) {
+  LayerStages stages(run, shoots);
+  stages.blend(store);
+  stages.residuals(store);
+  for (const ExportInput& e : run.project.exports) stages.export_layer(store, e);
+}
+
+}  // namespace chiaro::tools
