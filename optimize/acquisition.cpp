@@ -209,8 +209,9 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
         if (problem.strangers_found()[k]) result.strangers[k] = true;
       if (const Vec3d& shift = problem.flash_shift(); !shift.isZero()) {
         result.flash_shift = shift;
-        const auto mm = [&](int axis) { return std::lround(1000 * shift[axis]); };
-        result.notes.push_back(concat("the flash stands ", std::lround(1000 * shift.norm()), " mm from where the project has it, by what the photographs show (right, down, forward: ", mm(0), ", ", mm(1), ", ", mm(2),
+        const double mm_per_unit = 1000 * input.metres_per_unit;
+        const auto mm = [&](int axis) { return std::lround(mm_per_unit * shift[axis]); };
+        result.notes.push_back(concat("the flash stands ", std::lround(mm_per_unit * shift.norm()), " mm from where the project has it, by what the photographs show (right, down, forward: ", mm(0), ", ", mm(1), ", ", mm(2),
                                       " mm): this was taken into account; is offset_in_camera right?"));
       }
       result.sky_model = problem.sky().name();

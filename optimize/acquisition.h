@@ -31,6 +31,7 @@ struct AcquisitionInput {
   std::vector<std::string> names;
   std::optional<std::array<double, 2>> intensity_range;   ///< about +-2 sigma
   std::vector<ReferenceTarget> references;
+  double metres_per_unit = 1;              ///< of project units: how far people misplace a flash is known in metres
   SkyModel sky = SkyModel::kAuto;          ///< kAuto: as much as an information criterion finds worth its parameters
   Method method = Method::kJoint;
   bool try_floor = true;                   ///< a floor outside the cloud is taken where the same criterion speaks for it
@@ -59,7 +60,7 @@ struct AcquisitionResult {
   std::vector<LightSolution> lights;       ///< one for the acquisition (joint), or one per flash photograph (single, adam)
   std::vector<std::size_t> light_of_photograph;
   std::vector<double> exposures;           ///< of each photograph: factor of its brightness that was taken out, 1 where it is like the others (optimize/exposure.h)
-  Vec3d flash_shift = Vec3d::Zero();       ///< metres, camera axes: the flash stands that far from where the project has it (optimize/flash_place.h)
+  Vec3d flash_shift = Vec3d::Zero();       ///< project units, camera axes: the flash stands that far from where the project has it (optimize/flash_place.h)
   std::vector<bool> strangers;             ///< of each photograph: it shows something else than the others, and took no part (optimize/exposure.h)
   std::size_t proxy_surfels = 0, proxy_seen = 0;
   double back_share = 0;

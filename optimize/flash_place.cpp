@@ -78,7 +78,7 @@ FlashPlace find_flash_place(std::span<const LightSample> samples, const Lights& 
   found.shift_in_camera = already;
   if (rows.empty()) return found;
   Vec prior;
-  prior << Vec3d::Constant(1 / (options.prior_sd_m * options.prior_sd_m)), 1 / (options.lights_sd * options.lights_sd), 1 / (options.lights_sd * options.lights_sd),
+  prior << Vec3d::Constant(1 / (options.prior_sd * options.prior_sd)), 1 / (options.lights_sd * options.lights_sd), 1 / (options.lights_sd * options.lights_sd),
       1 / (options.bounce_sd * options.bounce_sd);
   Vec x = Vec::Zero();
   Mat a;

@@ -7,7 +7,7 @@
 namespace chiaro::optimize {
 
 struct FlashPlace {
-  Vec3d shift_in_camera = Vec3d::Zero();   ///< metres, from where it is said to be
+  Vec3d shift_in_camera = Vec3d::Zero();   ///< project units, from where it is said to be
   Vec3d sd = Vec3d::Zero();
   double chi2 = 0;                         ///< of the shift being nothing, three degrees of freedom
   double before = 0, after = 0;            ///< robust deviation of the residuals, in expected ones, as the samples are and with the shift
@@ -15,13 +15,13 @@ struct FlashPlace {
 };
 
 struct FlashPlaceOptions {
-  double prior_sd_m = 0.03;          ///< of each coordinate: how well people measure it
+  double prior_sd = 0.03;            ///< project units (here 3 cm), of each coordinate: how well people measure it
   double lights_sd = 0.1, bounce_sd = 0.02;   ///< of what is left open beside: ln flash, ln ambient; the factor on gathered light
 };
 
 /// Least squares of the log ratios within groups, robust, linear in the shift; lights are free beside it. Needs LightSample::flash_by_shift.
 ///
-/// already      the shift that the samples hold, metres: the result is the whole of it, and so is what the prior pulls at.
+/// already      the shift that the samples hold, project units: the result is the whole of it, and so is what the prior pulls at.
 /// independent  residuals that the samples count for (independent_residuals()).
 /// threads      one.
 FlashPlace find_flash_place(std::span<const LightSample> samples, const Lights& lights, const Vec3d& already, double independent, const FlashPlaceOptions& options = {});

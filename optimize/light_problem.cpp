@@ -26,8 +26,8 @@ constexpr int kPlaceRounds = 5;
 constexpr double kPlaceChi2 = 1.5;     ///< the deviations are conservative: at most 0.7 on five scenes whose flash is where it is said to be; 1, 2 and 3 cm beside: 2.6, 8.6, 22
 constexpr double kExplained = 0.5;     ///< of the residuals' deviation, in expected ones: 0.2 to 0.33 on diffuse scenes, 0.6 under a sky and a floor that no model follows, 1.5 on a glossy one
 constexpr double kImproved = 0.98;     ///< of that deviation: 0.965 for 1 cm, 0.85 for 3; what only looks like a shift leaves 0.993
-constexpr double kFarthest = 0.06;     ///< metres: nobody mistakes more
-constexpr double kLeastStep = 5e-4;    ///< metres
+constexpr double kPlaceSdMetres = 0.03, kFarthestMetres = 0.06;   ///< how well people measure where the flash is; nobody mistakes more
+constexpr double kLeastStepMetres = 5e-4;
 constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
 
 LightSolveOptions solve_options(const AcquisitionInput& input, const Lights& start, bool scale_is_given, int sky_terms, bool pairs, double bounce_sd) {
@@ -210,13 +210,15 @@ std::optional<Vec3d> LightProblem::flash_of(std::size_t k) const {
 bool LightProblem::move_flash(const LightSolution& solution, const LightSolveOptions& options) {
   ++place_rounds_;
   if (use_pairs_ || !lit_) return false;
-  place_ = find_flash_place(samples_, solution.lights, flash_shift_, independent_residuals(samples_, options));
+  FlashPlaceOptions place_options;
+  place_options.prior_sd = kPlaceSdMetres / input_.metres_per_unit;
+  place_ = find_flash_place(samples_, solution.lights, flash_shift_, independent_residuals(samples_, options), place_options);
   // Where the model explains less than expected (highlights, other light), anything that bends like the flash's pattern would pass for a shift.
-  if (!(place_.before < kExplained) || !(place_.shift_in_camera.norm() < kFarthest) ||
+  if (!(place_.before < kExplained) || !(place_.shift_in_camera.norm() * input_.metres_per_unit < kFarthestMetres) ||
       (flash_shift_.isZero() && !(place_.chi2 > kPlaceChi2 && place_.after < kImproved * place_.before)))
     return false;
   const Vec3d step = place_.shift_in_camera - flash_shift_;
-  if (step.norm() < kLeastStep) return false;
+  if (step.norm() * input_.metres_per_unit < kLeastStepMetres) return false;
   const Vec3d origin = scene_.proxy.origin_in_world;
   std::vector<std::optional<Vec3d>> before;
   for (std::size_t k = 0; k < input_.photographs.size(); ++k) before.push_back(flash_of(k));

@@ -43,7 +43,7 @@ std::optional<RunLights> read_lights(const RunFolder& folder) {
       for (const Json& p : project.at("acquisition"))
         if (p.at("name") == r.acquisition && !p.at("flash").is_null())
           for (int i = 0; i < 3; ++i)
-            r.flash_in_camera[i] = p.at("flash").at("offset_in_camera").at(static_cast<std::size_t>(i)).get<double>() + (a.contains("flash_shift_m") ? a["flash_shift_m"].at(static_cast<std::size_t>(i)).get<double>() : 0.0);
+            r.flash_in_camera[i] = p.at("flash").at("offset_in_camera").at(static_cast<std::size_t>(i)).get<double>() + (a.contains("flash_shift_in_camera") ? a["flash_shift_in_camera"].at(static_cast<std::size_t>(i)).get<double>() : 0.0);
       return r;
     }
   } catch (const nlohmann::json::exception& e) {

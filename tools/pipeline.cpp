@@ -272,6 +272,7 @@ class Pipeline {
     const Acquisition& a = *shoots_[lead].acquisition;
     optimize::AcquisitionInput input;
     input.intensity_range = a.flash->intensity_range;
+    input.metres_per_unit = run_.project.metres_per_unit;
     input.sky = sky_model(a.ambient);
     input.try_floor = a.floor != FloorModel::kNone;
     input.floor_plane = a.floor_plane;
@@ -312,7 +313,7 @@ class Pipeline {
       optimize::gather_scene(store, input, options, folder, run_.budget, run_.report);
       return Json::object();
     });
-    h.add("light").add(static_cast<std::uint64_t>(input.method)).add(static_cast<std::uint64_t>(input.sky)).add(static_cast<std::uint64_t>(options.light_samples));
+    h.add("light").add(static_cast<std::uint64_t>(input.method)).add(static_cast<std::uint64_t>(input.sky)).add(static_cast<std::uint64_t>(options.light_samples)).add(input.metres_per_unit);
     for (const optimize::ObserveInput& p : input.photographs) h.add(p.noise.gain).add(p.noise.read_sigma).add(p.ambient_scale);
     if (input.intensity_range) h.add((*input.intensity_range)[0]).add((*input.intensity_range)[1]);
     for (const auto& r : input.references) {
@@ -512,7 +513,7 @@ class Pipeline {
     a["proxy_surfels"] = lights.proxy_surfels;
     for (const Photo& p : shoot.photos)
       if (lights.exposures.size() > p.index_in_lights && lights.exposures[p.index_in_lights] != 1) a["exposures"][p.input->key] = lights.exposures[p.index_in_lights];
-    if (const Vec3d& shift = lights.flash_shift; !shift.isZero()) a["flash_shift_m"] = {shift[0], shift[1], shift[2]};
+    if (const Vec3d& shift = lights.flash_shift; !shift.isZero()) a["flash_shift_in_camera"] = {shift[0], shift[1], shift[2]};
     a["how"] = how_found(shoot);
     const Acquisition& input = *shoot.acquisition;
     if (input.flash->intensity_range) a["calibrated_range"] = *input.flash->intensity_range;

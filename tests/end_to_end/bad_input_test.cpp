@@ -237,7 +237,7 @@ TEST_F(BadInput, AFlashBesideItsPlaceIsFound) {
   const ProcessResult ran = run("out");
   ASSERT_EQ(ran.code, 0) << ran.err;
   EXPECT_THAT(ran.err, HasSubstr("is offset_in_camera right?"));
-  const auto shift = lights().at("flash_shift_m");
+  const auto shift = lights().at("flash_shift_in_camera");
   EXPECT_NEAR(shift[0].get<double>(), -0.04, 0.015);
   EXPECT_NEAR(shift[1].get<double>(), -0.02, 0.015);
   EXPECT_LE(error_of(s).absolute, 0.01);

@@ -67,7 +67,7 @@ TEST(FlashPlace, LightsThatAreALittleOffDoNotPassForAShift) {
 TEST(FlashPlace, ThePriorPullsAtTheWholeShift) {
   const std::vector<LightSample> samples = samples_with(Vec3d::Zero(), lights());
   FlashPlaceOptions tight;
-  tight.prior_sd_m = 1e-5;
+  tight.prior_sd = 1e-5;
   EXPECT_LE(find_flash_place(samples, lights(), Vec3d(0.01, 0, 0), 2000, tight).shift_in_camera.norm(), 0.001) << "back to where it is said to be";
   EXPECT_NEAR(find_flash_place({}, lights(), Vec3d(0.01, 0, 0), 2000).shift_in_camera.x(), 0.01, 1e-12);
 }
