@@ -243,5 +243,19 @@ TEST_F(BadInput, AFlashBesideItsPlaceIsFound) {
   EXPECT_LE(error_of(s).absolute, 0.01);
 }
 
+// The same numbers, a hundred times smaller: 1.3 mm is nothing unlikely, 13 cm would be.
+TEST_F(BadInput, AFlashBesideItsPlaceIsFoundInCentimetres) {
+  const TinyScene s = scene();
+  edit("scene/project.toml", "unit = \"m\"", "unit = \"cm\"");
+  edit("scene/project.toml", "offset_in_camera = [0.25, -0.2, 0.02]", "offset_in_camera = [0.35, -0.12, 0.02]");
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("the flash stands 1 mm from where"));
+  const auto shift = lights().at("flash_shift_in_camera");
+  EXPECT_NEAR(shift[0].get<double>(), -0.1, 0.03);
+  EXPECT_NEAR(shift[1].get<double>(), -0.08, 0.03);
+  EXPECT_LE(error_of(s).absolute, 0.02);
+}
+
 }  // namespace
 }  // namespace chiaro::test
