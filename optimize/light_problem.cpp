@@ -304,10 +304,11 @@ void LightProblem::add_sample(std::size_t k, const Observation& o, const std::ve
   s.photograph = static_cast<std::uint32_t>(k);
   s.flash_photograph = input_.photographs[k].flash_in_camera.has_value();
   if (const auto flash = flash_of(k)) {
-    const Vec3f to_flash = ((*flash - scene_.proxy.origin_in_world).cast<float>() - scene_.proxy.position[i]).normalized(), &normal = scene_.proxy.normal[i];
+    const Vec3f offset = (*flash - scene_.proxy.origin_in_world).cast<float>() - scene_.proxy.position[i], &normal = scene_.proxy.normal[i];
+    const float distance = offset.norm();
+    const Vec3f to_flash = offset / distance;
     if (const float cosine = normal.dot(to_flash); cosine > 0.05f) {
       s.lean = to_flash / cosine - normal;
-      const float distance = ((*flash - scene_.proxy.origin_in_world).cast<float>() - scene_.proxy.position[i]).norm();
       s.flash_by_shift = input_.photographs[k].camera.pose.rotation_camera_from_world.cast<float>() * (normal / cosine - 3 * to_flash) / distance;
     }
   }

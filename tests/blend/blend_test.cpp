@@ -11,6 +11,7 @@
 #include "stream/base/file.h"
 #include "stream/base/parallel.h"
 #include "stream/photo/raster.h"
+#include "tests/blend/stopping_reporter.h"
 #include "tests/blend/workplace.h"
 
 namespace chiaro::blend {
@@ -202,20 +203,6 @@ TEST(Blend, OrderThreadsAndBudgetDoNotChangeTheBytes) {
   EXPECT_GT(small.chunks_visited, first.chunks_visited);   // it did work in bands
   EXPECT_EQ(small.samples, first.samples);
 }
-
-/// Stops the work after some time that is counted in calls.
-class StoppingReporter : public Reporter {
- public:
-  explicit StoppingReporter(int calls) : left_(calls) {}
-  void begin(std::string_view, std::uint64_t, std::string_view) override {}
-  void progress(std::uint64_t) override {}
-  void end() override {}
-  void note(std::string_view) override {}
-  bool cancelled() const override { return left_-- <= 0; }
-
- private:
-  mutable std::atomic<int> left_;
-};
 
 TEST(Blend, AStoppedBlendContinuesToTheSameBytes) {
   const Workplace w(plane_scene());

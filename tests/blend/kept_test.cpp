@@ -3,11 +3,11 @@
 
 #include <gtest/gtest.h>
 
-#include <atomic>
 #include <fstream>
 
 #include "stream/base/error.h"
 #include "stream/base/parallel.h"
+#include "tests/blend/stopping_reporter.h"
 #include "tests/blend/workplace.h"
 
 namespace chiaro::blend {
@@ -152,21 +152,9 @@ TEST_F(Kept, AStoppedOneGoesOnToTheSameBytes) {
   keep(photos);
   photos.push_back(at("late", 2.0, gained(0.9f)));
   photos.erase(photos.begin());
-  class Stopping : public Reporter {
-   public:
-    explicit Stopping(int calls) : left_(calls) {}
-    void begin(std::string_view, std::uint64_t, std::string_view) override {}
-    void progress(std::uint64_t) override {}
-    void end() override {}
-    void note(std::string_view) override {}
-    bool cancelled() const override { return left_-- <= 0; }
-
-   private:
-    mutable std::atomic<int> left_;
-  };
   int stops = 0;
   for (int calls = 20;; calls += 40) {
-    Stopping report(calls);
+    StoppingReporter report(calls);
     try {
       keep(photos, report, stops % 2 == 0 ? kPlenty : 3000 << 10);
       break;
