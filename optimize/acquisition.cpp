@@ -216,6 +216,10 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
       }
       result.sky_model = problem.sky().name();
       result.sky_evidence = problem.sky_evidence();
+      result.gloss_evidence = problem.gloss_evidence();
+      if (const Gloss& gloss = result.lights.back().lights.gloss; gloss.on)
+        result.notes.push_back(concat("the surfaces are glossy: a clear coat that mirrors ", std::lround(1000 * gloss.reflectance) / 10.0, " % (roughness ", std::lround(100 * gloss.roughness) / 100.0,
+                                      ") explains the photographs better, and was taken off the albedo everywhere; the scale of the albedo is less certain"));
       albedo = problem.albedo();
       result.errors.push_back(problem.errors());
       if (!result.lights.back().converged)

@@ -68,6 +68,7 @@ struct AcquisitionResult {
   double last_change = 0;
   std::string sky_model;                   ///< "none", "uniform", "sh1", "sh2", with " coloured" where the sky has a colour of its own, " + floor" where a floor was found
   std::vector<SkyEvidence> sky_evidence;   ///< of the models that kAuto tried
+  std::optional<double> gloss_evidence;    ///< criterion of a coat over all surfaces beside none, as of SkyEvidence; absent where it was not tried
   std::vector<ErrorModel> errors;          ///< one for each of `lights`
   std::vector<std::string> notes;
 };

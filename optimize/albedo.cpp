@@ -8,6 +8,7 @@
 
 #include "optimize/fields.h"
 #include "optimize/flash_place.h"
+#include "optimize/gloss_light.h"
 #include "optimize/photo_band.h"
 #include "optimize/proxy_file.h"
 #include "stream/base/error.h"
@@ -23,6 +24,7 @@ constexpr int kBandRows = 128;
 constexpr double kImpossible = 2;
 constexpr double kBelowBlack = 6;      // deviations of the read noise: darker is no photograph of anything
 constexpr double kCommon = 0.25;       // of the variance by which photographs disagree, what they have in common beside (measured on two rendered scenes)
+constexpr double kHighlightSd = 0.3;   // of a highlight: the roughness is a mean over the surface, normals are off
 constexpr double kShadowDoubt = 0.7;   // of the flash, where a shadow's edge may be on either side of the pixel
 
 struct PixelAlbedo {
@@ -39,6 +41,7 @@ struct Context {
   const AlbedoOptions& options;
   double exposure;
   Vec3f flash, flash_cast;   ///< where it is, and where rays were cast to; scene frame of the proxy
+  Vec3f camera;
 };
 
 double square(double v) { return v * v; }
@@ -65,22 +68,26 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   const double by_floor = lights.floor_albedo * lights.flash_intensity * static_cast<double>(s.floor_flash);
   const float colour[3] = {band.r[i], band.g[i], band.b[i]};
   double indirect_mean = 0, total_mean = 0;
-  std::array<double, 3> h{};
+  std::array<double, 3> h{}, radiosity{};
   for (std::size_t ch = 0; ch < 3; ++ch) {
     const double indirect = c.options.direct_only ? 0.0 : lights.bounce * static_cast<double>(s.gathered[ch]) + by_floor;
     h[ch] = direct + lights.sky_colour[ch] * sky + indirect;
+    radiosity[ch] = kPi * static_cast<double>(colour[ch]) / c.exposure;
     ambient += lights.sky_colour[ch] * sky / 3;
     indirect_mean += indirect / 3;
     total_mean += h[ch] / 3;
   }
   if (!(total_mean > 0)) return out;
+  CoatedAlbedo gloss;
+  if (lights.gloss.on) gloss = coated_reading(lights.gloss, gloss_angles(point, band.normal(i), {c.camera, c.flash}), direct, h, radiosity);
   double noise = 0;
   for (std::size_t ch = 0; ch < 3; ++ch) {
-    out.albedo[ch] = static_cast<float>(kPi * static_cast<double>(colour[ch]) / (c.exposure * h[ch]));
+    out.albedo[ch] = static_cast<float>(kPi * static_cast<double>(colour[ch]) / (c.exposure * h[ch]) * gloss.factor[ch]);
     // What is darker than its noise is known to be dark, and no more: a relative deviation of 1.
     const double z = std::max(static_cast<double>(colour[ch]), 0.0), variance = c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma);
     noise += variance / std::max({z * z, variance, 1e-18}) / 3;
   }
+  noise *= square(gloss.noise);
   const double sd = direct / total_mean, sg = indirect_mean / total_mean, sf = by_floor / total_mean;
   // No surface gives back twice what it receives: the light at this pixel is not what it is taken for (a shadow's edge, a highlight).
   const double brightest = static_cast<double>(std::max({out.albedo[0], out.albedo[1], out.albedo[2]})), darkest = static_cast<double>(std::min({colour[0], colour[1], colour[2]}));
@@ -102,26 +109,30 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   const ErrorModel& errors = c.options.errors;
   const double noise_variance = c.photograph.noise.gain * std::max(0.0, static_cast<double>(colour[1])) + square(c.photograph.noise.read_sigma);
   const double own = square(errors.registration_px * relative_gradient(band, x, y, noise_variance)) + square(errors.spread * sd * static_cast<double>(band.spread[i])) +
-                     square(errors.other_light * (1 - sd)) + square(errors.rest);
+                     square(errors.other_light * (1 - sd)) + square(errors.rest) + square(kHighlightSd * gloss.highlight);
   out.sigma = static_cast<float>(std::sqrt(noise + own + square(shadow) + square(too_bright)));
   // Lights, normals and part of the rest are the same for all photographs of a surfel: they do not average out.
   const auto terms = static_cast<int>(c.solution.covariance.rows());
   double light = 0;
   if (terms >= 2) {
     Eigen::VectorXd j = Eigen::VectorXd::Zero(terms);
-    j[0] = sd + sf;
+    j[0] = gloss.direct * sd + gloss.other * sf;
     for (int k = 0; k < c.solution.sky_terms; ++k) {
       const auto at = static_cast<std::size_t>(k);
-      j[1 + k] = c.photograph.ambient_scale * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - lights.floor_albedo : 1.0) * static_cast<double>(s.hidden[at])) / total_mean;
+      j[1 + k] = gloss.other * c.photograph.ambient_scale * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - lights.floor_albedo : 1.0) * static_cast<double>(s.hidden[at])) / total_mean;
     }
     int next = 1 + c.solution.sky_terms;
     if (c.solution.sky_colour) {   // ln red and ln blue, in the mean over the channels
-      j[next++] = lights.sky_colour[0] * sky / (3 * total_mean);
-      j[next++] = lights.sky_colour[2] * sky / (3 * total_mean);
+      j[next++] = gloss.other * lights.sky_colour[0] * sky / (3 * total_mean);
+      j[next++] = gloss.other * lights.sky_colour[2] * sky / (3 * total_mean);
     }
     if (lights.floor)
-      j[next++] = (lights.flash_intensity * static_cast<double>(s.floor_flash) + c.photograph.ambient_scale * lights.sky[0] * static_cast<double>(s.hidden[0])) / total_mean;
-    j[terms - 1] = (sg - sf) / std::max(1e-9, lights.bounce);
+      j[next++] = gloss.other * (lights.flash_intensity * static_cast<double>(s.floor_flash) + c.photograph.ambient_scale * lights.sky[0] * static_cast<double>(s.hidden[0])) / total_mean;
+    if (lights.gloss.on) {
+      j[next++] = gloss.reflectance;
+      j[next++] = gloss.roughness;
+    }
+    j[terms - 1] = gloss.other * (sg - sf) / std::max(1e-9, lights.bounce);
     light = j.dot(c.solution.covariance * j);
   }
   out.shared = static_cast<float>(std::sqrt(std::max(0.0, light) + square(sd * tan_flash * errors.normal_rad) + kCommon * own));
@@ -142,7 +153,8 @@ AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, con
   for (const char* name : names) planes.push_back({name, stream::PlaneType::kF32});
   stream::RasterWriter out(raster, width, height, planes);
   const Vec3d flash = flash_in_world - scene.proxy.origin_in_world;
-  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.exposure, (flash + inputs.flash_shift).cast<float>(), flash.cast<float>()};
+  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.exposure, (flash + inputs.flash_shift).cast<float>(), flash.cast<float>(),
+                        (photograph.camera.pose.centre_in_world() - scene.proxy.origin_in_world).cast<float>()};
   AlbedoStats stats;
   std::vector<float> sigmas;
   report.begin(concat("albedo ", photograph.camera.photograph), static_cast<std::uint64_t>(height), "rows");

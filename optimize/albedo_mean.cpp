@@ -14,18 +14,19 @@ Lights exposed(Lights lights, double ambient_scale) {
   return lights;
 }
 
-void AlbedoMean::add(const Transport& transport, const Observation& o, const std::vector<float>& gathered, const Lights& lights) {
+void AlbedoMean::add(const Transport& transport, const Observation& o, const std::vector<float>& gathered, const Lights& lights, const Proxy& proxy, const Viewpoint& from) {
   parallel_blocks(weight.size(), 4096, [&](std::size_t b, std::size_t e) {
     for (std::size_t i = b; i < e; ++i) {
       if (!o.seen[i]) continue;
-      const LightSample s = sample_of(transport, o, gathered, i);
+      LightSample s = sample_of(transport, o, gathered, i);
+      if (lights.gloss.on) s.angles = gloss_angles(proxy.position[i], proxy.normal[i], from);
       const float w = static_cast<float>(sample_weight(lights, s));
       double ln[3];
       bool fine = true;
       for (int c = 0; c < 3; ++c) {
         const double h = irradiance(lights, s, c);
         fine = fine && h > 0 && s.radiosity[static_cast<std::size_t>(c)] > 0;
-        ln[c] = fine ? std::log(static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]) / h) : 0;
+        ln[c] = fine ? std::log(body_radiosity(lights, s, c) / h) : 0;
       }
       if (!fine) continue;
       weight[i] += w;

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "optimize/gather.h"
+#include "optimize/gloss_light.h"
 #include "optimize/light_solve.h"
 #include "optimize/observe.h"
 
@@ -18,7 +19,7 @@ struct AlbedoMean {
   explicit AlbedoMean(std::size_t n) : weight(n, 0.0f), sum(3 * n, 0.0f) {}
 
   /// gathered: G of the photograph, 3 N.
-  void add(const Transport& transport, const Observation& o, const std::vector<float>& gathered, const Lights& lights);
+  void add(const Transport& transport, const Observation& o, const std::vector<float>& gathered, const Lights& lights, const Proxy& proxy, const Viewpoint& from);
 
   /// Unseen surfels take the albedo of the nearest seen one (physics.md A.4; the median instead costs 5 % of the flash).
   std::vector<float> albedo(const std::vector<std::uint32_t>& nearest_seen) const;

@@ -30,7 +30,7 @@ bool read(const Lights& lights, const LightSample& s, Seen& seen) {
   if (!s.flash_photograph) return false;
   double ln = 0;
   for (int c = 0; c < 3; ++c) {
-    const double h = irradiance(lights, s, c), b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]);
+    const double h = irradiance(lights, s, c), b = body_radiosity(lights, s, c);
     if (!(h > 0) || !(b > 0)) return false;
     ln += std::log(b / h) / 3;
     seen.direct += lights.flash_intensity * static_cast<double>(s.flash) / h / 3;

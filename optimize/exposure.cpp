@@ -29,7 +29,7 @@ std::vector<Reading> readings_of(std::span<const LightSample> samples, const Lig
     double sum = 0;
     bool fine = true;
     for (int c = 0; c < 3; ++c) {
-      const double h = irradiance(lights, s, c), b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]);
+      const double h = irradiance(lights, s, c), b = body_radiosity(lights, s, c);
       fine = fine && h > 0 && b > 0;
       if (fine) sum += std::log(b / h) / 3;
     }

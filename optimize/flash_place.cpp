@@ -24,7 +24,7 @@ bool row_of(const LightSample& s, const Lights& lights, Row& row) {
   row.residual = 0;
   row.effect.setZero();
   for (int c = 0; c < 3; ++c) {
-    const double h = irradiance(lights, s, c), b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]);
+    const double h = irradiance(lights, s, c), b = body_radiosity(lights, s, c);
     if (!(h > 0) || !(b > 0)) return false;
     row.residual += std::log(b / h) / 3;
     const double direct = lights.flash_intensity * static_cast<double>(s.flash) / h, gathered = static_cast<double>(s.gathered[static_cast<std::size_t>(c)]) / h;

@@ -28,6 +28,8 @@ constexpr double kExplained = 0.5;     ///< of the residuals' deviation, in expe
 constexpr double kImproved = 0.98;     ///< of that deviation: 0.965 for 1 cm, 0.85 for 3; what only looks like a shift leaves 0.993
 constexpr double kPlaceSdMetres = 0.03, kFarthestMetres = 0.06;   ///< how well people measure where the flash is; nobody mistakes more
 constexpr double kLeastStepMetres = 5e-4;
+constexpr double kGlossyBounceSd = 0.05;   ///< least deviation of the factor on gathered light where surfaces mirror: they throw more one way than another
+constexpr std::size_t kGlossLooks = 3;     ///< photographs of one place that tell a highlight from the rest
 constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
 
 LightSolveOptions solve_options(const AcquisitionInput& input, const Lights& start, bool scale_is_given, int sky_terms, bool pairs, double bounce_sd) {
@@ -47,6 +49,18 @@ LightSolveOptions solve_options(const AcquisitionInput& input, const Lights& sta
   }
   if (pairs) o.information = kPairInformation;
   return o;
+}
+
+/// Half of the groups or more have so many samples.
+bool seen_often(const std::vector<LightSample>& samples, std::size_t times) {
+  std::size_t often = 0, groups = 0;
+  for (std::size_t i = 0; i < samples.size(); ++groups) {
+    std::size_t e = i;
+    while (e < samples.size() && samples[e].group == samples[i].group) ++e;
+    often += e - i >= times;
+    i = e;
+  }
+  return groups > 0 && 2 * often >= groups;
 }
 
 /// share of `values`, the rest of `before`.
@@ -109,12 +123,15 @@ LightProblem::LightProblem(const Scene& scene, const Smoother& smoother, const A
   }
   for (const ReferenceTarget& t : input.references)
     if (std::find(photographs_.begin(), photographs_.end(), t.photograph) != photographs_.end())
-      if (auto reading = read_reference(scene, input, t)) references_.push_back(*reading);
+      if (auto reading = read_reference(scene, input, t)) {
+        reading->reference.sample.angles = gloss_angles(reading->place, reading->normal, viewpoint(reading->photograph));
+        references_.push_back(*reading);
+      }
 }
 
 LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer, double& change, Reporter& report) {
   sky_ = sky;
-  bool choose_sky = !richer_skies(sky, input_.sky, scene_.floor && input_.try_floor).empty();
+  bool try_gloss = true, choose_sky = !richer_skies(sky, input_.sky, scene_.floor && input_.try_floor).empty();
   LightSolution solution;
   solution.lights = start;
   std::vector<float> albedo(3 * scene_.proxy.size(), 0.3f);
@@ -135,7 +152,12 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
     const bool near = outer > kBounceCheck && change < kSettled;
     const bool evened = estranged || (near && ((exposure_rounds_ < kExposureRounds && even_exposures(solution.lights)) || (place_rounds_ < kPlaceRounds && move_flash(solution, light_options))));
     bool chose = false, richer = false;
-    if (!evened && choose_sky && (change < kSettled || outer + 1 == most) && outer > kBounceCheck) {
+    const bool decide = !evened && (change < kSettled || outer + 1 == most) && outer > kBounceCheck;
+    if (decide && try_gloss) {
+      try_gloss = false;
+      chose = richer = choose_gloss(start, solution);
+    }
+    if (decide && choose_sky && !chose) {
       choose_sky = false;
       chose = true;
       richer = choose_richer_sky(start, solution);
@@ -247,13 +269,39 @@ void LightProblem::add_place_uncertainty(LightSolution& solution) const {
   solution.covariance(1, 0) = solution.covariance(0, 1);
 }
 
+Viewpoint LightProblem::viewpoint(std::size_t k) const {
+  const Vec3d& origin = scene_.proxy.origin_in_world;
+  Viewpoint from{(input_.photographs[k].camera.pose.centre_in_world() - origin).cast<float>(), {}};
+  if (const auto flash = flash_of(k)) from.flash = (*flash - origin).cast<float>();
+  return from;
+}
+
 LightSolveOptions LightProblem::current_options(const Lights& start) const {
   LightSolveOptions o = solve_options(input_, start, !references_.empty(), sky_.terms, use_pairs_, bounce_sd_);
   o.sky_colour = sky_.coloured;
   o.ambient_guess = ambient_guess_;
   o.floor = sky_.floor;
+  o.gloss = gloss_;
+  if (gloss_) o.bounce_sd = std::max(o.bounce_sd, kGlossyBounceSd);
   if (without_bounces_) o.bounce_mean = o.bounce_sd = 0;
   return o;
+}
+
+/// Tries a coat over all surfaces, and takes it if its criterion is the smaller one (choose_richer_sky). Returns whether it was taken.
+bool LightProblem::choose_gloss(const Lights& start, LightSolution& solution) {
+  if (use_pairs_ || !lit_ || !seen_often(samples_, kGlossLooks)) return false;
+  const LightSolveOptions plain = current_options(start);
+  const Lights base = solution.lights;
+  Lights coated = base;
+  coated.gloss.on = true;
+  gloss_ = true;
+  LightSolveOptions options = current_options(start);
+  options.max_iterations = kTrialIterations;
+  const LightSolution tried = solve_lights(samples_, current_references(), options, coated);
+  gloss_evidence_ = gloss_criterion(samples_, plain, base, tried.lights);
+  gloss_ = *gloss_evidence_ < 0;
+  if (gloss_) solution = tried;
+  return gloss_;
 }
 
 /// Tries richer models of the ambient light on what is gathered now, and takes the one with the smallest Bayesian information criterion: misfit, and
@@ -303,6 +351,7 @@ void LightProblem::add_sample(std::size_t k, const Observation& o, const std::ve
   s.group = group;
   s.photograph = static_cast<std::uint32_t>(k);
   s.flash_photograph = input_.photographs[k].flash_in_camera.has_value();
+  s.angles = gloss_angles(scene_.proxy.position[i], scene_.proxy.normal[i], viewpoint(k));
   if (const auto flash = flash_of(k)) {
     const Vec3f offset = (*flash - scene_.proxy.origin_in_world).cast<float>() - scene_.proxy.position[i], &normal = scene_.proxy.normal[i];
     const float distance = offset.norm();
@@ -330,7 +379,12 @@ void LightProblem::sweep(const Lights& lights, const std::vector<float>& albedo,
     Observation o = read(k);
     std::vector<float> before;
     if (share < 1) before = o.radiosity;
-    std::vector<float> g = complete_radiosity(scene_.transport, smoother_, kSmoothPasses, exposed(lights, ambient_scale(k)), albedo, o, max_sweeps, kSweepTolerance);
+    const Lights here = exposed(lights, ambient_scale(k));
+    std::vector<float> measured;
+    if (here.gloss.on) measured = send_out(scene_.proxy, scene_.transport, viewpoint(k), read_floats(gathered_path(folder_, k), 3 * o.seen.size()), here, o);
+    std::vector<float> g = complete_radiosity(scene_.transport, smoother_, kSmoothPasses, here, here.gloss.on ? coated_albedo(here.gloss, albedo) : albedo, o, max_sweeps, kSweepTolerance);
+    for (std::size_t i = 0; i < measured.size(); ++i)
+      if (o.seen[i / 3]) o.radiosity[i] = measured[i];
     if (share < 1) {   // gathering is linear: what holds for the radiosity holds for G
       blend_into(o.radiosity, before, share);
       blend_into(g, read_floats(gathered_path(folder_, k), g.size()), share);
@@ -361,7 +415,7 @@ void LightProblem::sweep(const Lights& lights, const std::vector<float>& albedo,
 std::vector<float> LightProblem::mean_albedo(const Lights& lights) const {
   AlbedoMean mean(scene_.proxy.size());
   for (const std::size_t k : photographs_)
-    if (!strangers_[k]) mean.add(scene_.transport, read(k), read_floats(gathered_path(folder_, k), 3 * scene_.proxy.size()), exposed(lights, ambient_scale(k)));
+    if (!strangers_[k]) mean.add(scene_.transport, read(k), read_floats(gathered_path(folder_, k), 3 * scene_.proxy.size()), exposed(lights, ambient_scale(k)), scene_.proxy, viewpoint(k));
   return mean.albedo(nearest_seen_);
 }
 

@@ -8,6 +8,7 @@
 
 #include "optimize/error_model.h"
 #include "optimize/flash_place.h"
+#include "optimize/gloss_light.h"
 #include "optimize/light_samples.h"
 #include "optimize/light_step.h"
 #include "optimize/sky_shape.h"
@@ -36,6 +37,8 @@ class LightProblem {
   const Vec3d& flash_shift() const { return flash_shift_; }
   SkyShape sky() const { return sky_; }
   const std::vector<SkyEvidence>& sky_evidence() const { return sky_evidence_; }
+  /// Criterion of a coat beside none, as of SkyEvidence; absent where photographs could not tell.
+  const std::optional<double>& gloss_evidence() const { return gloss_evidence_; }
   const std::vector<float>& albedo() const { return albedo_; }
   bool without_bounces() const { return without_bounces_; }
   const ErrorModel& errors() const { return errors_; }
@@ -50,6 +53,8 @@ class LightProblem {
   bool move_flash(const LightSolution& solution, const LightSolveOptions& options);
   void add_place_uncertainty(LightSolution& solution) const;
   LightSolveOptions current_options(const Lights& start) const;
+  Viewpoint viewpoint(std::size_t k) const;
+  bool choose_gloss(const Lights& start, LightSolution& solution);
   bool choose_richer_sky(const Lights& start, LightSolution& solution);
   void check_bounces(const LightSolveOptions& options, LightSolution& solution);
   double ambient_scale(std::size_t k) const { return input_.photographs[k].ambient_scale; }
@@ -81,7 +86,8 @@ class LightProblem {
   FlashPlace place_;
   Vec3d flash_shift_ = Vec3d::Zero();
   int exposure_rounds_ = 0, place_rounds_ = 0;
-  bool use_pairs_ = false, without_bounces_ = false, lit_ = true;
+  std::optional<double> gloss_evidence_;
+  bool gloss_ = false, use_pairs_ = false, without_bounces_ = false, lit_ = true;
 };
 
 /// The lights that a search starts from.

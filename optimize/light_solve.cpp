@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <tuple>
 
 #include "stream/base/error.h"
 #include "stream/base/parallel.h"
@@ -9,7 +10,7 @@
 namespace chiaro::optimize {
 namespace {
 
-constexpr int kMaxParameters = kSkyTerms + 5;
+constexpr int kMaxParameters = kSkyTerms + 7;
 using VecP = Eigen::Matrix<double, kMaxParameters, 1>;
 using MatP = Eigen::Matrix<double, kMaxParameters, kMaxParameters>;
 
@@ -20,18 +21,24 @@ constexpr double kShadowSd = 0.02;                   ///< relative error of the 
 constexpr double kSkyColourSd = 0.5;                 ///< of ln red and ln blue of the ambient light beside green: a candle is 1.2 off, shade -0.3
 constexpr double kFloorAlbedo = 0.3, kFloorSd = 0.3, kWhitestFloor = 0.95;   ///< soil and stone to whitewash
 constexpr double kGuessSd = 0.35;                    ///< relative, of an ambient light guessed from the brightest surfaces
+constexpr double kReflectance = 0.04, kReflectanceSd = 0.2, kMostReflectance = 0.12;   ///< sd of its logarithm: clear coats have an index of 1.4 to 1.6
+constexpr double kRoughness = 0.25, kRoughnessSd = 0.5, kSmoothest = 0.08, kRoughest = 0.6;   ///< sd of its logarithm
+constexpr double kHighlightSd = 0.2;                 ///< relative, of a highlight: normals, roughness that is not the same everywhere
 constexpr double kWhiteSd = 0.1;                     ///< of ln albedo above 1
 constexpr double kCauchy = 2.385;                    ///< 95 % efficiency for normal residuals (Holland & Welsch 1977)
 constexpr std::size_t kGroupGrain = 256;
 
-/// Parameters: 0 = ln flash, 1 .. sky_terms = sky, then ln red and ln blue of the sky if they are solved, the floor's albedo if there is one, last = bounce.
+/// Parameters: 0 = ln flash, 1 .. sky_terms = sky, then ln red and ln blue of the sky if they are solved, the floor's albedo if there is one, ln reflectance and ln
+/// roughness of a coat if there is one, last = bounce.
 struct Layout {
   int sky_terms;
-  bool coloured, floor;
+  bool coloured, floor, gloss;
   int red() const { return sky_terms + 1; }
   int blue() const { return sky_terms + 2; }
   int floor_albedo() const { return sky_terms + (coloured ? 3 : 1); }
-  int bounce() const { return floor_albedo() + (floor ? 1 : 0); }
+  int reflectance() const { return floor_albedo() + (floor ? 1 : 0); }
+  int roughness() const { return reflectance() + 1; }
+  int bounce() const { return reflectance() + (gloss ? 2 : 0); }
   int size() const { return bounce() + 1; }
 };
 
@@ -50,19 +57,38 @@ std::vector<Group> groups_of(std::span<const LightSample> samples) {
   return groups;
 }
 
-/// Of ln(B/H) by the parameters, where H is h.
-VecP derivative(const Lights& x, const LightSample& s, int c, const Layout& layout, double h) {
+/// What a coat makes of the derivatives of ln(albedo H + mirrored): the light that both hold is divided by direct and other.
+struct CoatEffect {
+  double direct, other, reflectance = 0, roughness = 0;
+};
+
+CoatEffect coat_effect(const Lights& x, const LightSample& s, int c, double h, double albedo) {
+  if (!x.gloss.on) return {h, h};
+  const CoatFactors f = coat_factors(x.gloss, s.angles);
+  const double mirrored = mirrored_radiosity(x, s, c), whole = albedo * h + mirrored, lit = x.flash_intensity * static_cast<double>(s.flash);
+  return {whole / (albedo * f.direct + f.direct_mirrored), whole / (albedo * f.other + f.other_mirrored), -mirrored / whole,
+          -x.gloss.reflectance * lit * gloss_lobe_slope(x.gloss.roughness, s.angles) / whole};
+}
+
+/// Of ln(B/H) by the parameters, where H is h; with a coat, of ln(B / (albedo H + mirrored)).
+VecP derivative(const Lights& x, const LightSample& s, int c, const Layout& layout, double h, double albedo) {
   VecP j = VecP::Zero();
+  const CoatEffect by = coat_effect(x, s, c, h, albedo);
   const double colour = x.sky_colour[static_cast<std::size_t>(c)], by_floor = x.floor ? static_cast<double>(s.floor_flash) : 0.0;
-  j[0] = -x.flash_intensity * (static_cast<double>(s.flash) + x.floor_albedo * by_floor) / h;
+  j[0] = by.direct == by.other ? -x.flash_intensity * (static_cast<double>(s.flash) + x.floor_albedo * by_floor) / h
+                               : -x.flash_intensity * (static_cast<double>(s.flash) / by.direct + x.floor_albedo * by_floor / by.other);
   for (int k = 0; k < layout.sky_terms; ++k) {
     const auto at = static_cast<std::size_t>(k);
     const double hidden = x.floor ? static_cast<double>(s.hidden[at]) : 0.0;
-    j[1 + k] = -colour * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - x.floor_albedo : 1.0) * hidden) / h;
+    j[1 + k] = -colour * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - x.floor_albedo : 1.0) * hidden) / by.other;
   }
-  if (layout.coloured && c != 1) j[c == 0 ? layout.red() : layout.blue()] = -colour * sky_irradiance(x, s.sky, s.hidden) / h;
-  if (layout.floor) j[layout.floor_albedo()] = -(x.flash_intensity * by_floor + colour * x.sky[0] * static_cast<double>(s.hidden[0])) / h;
-  j[layout.bounce()] = -static_cast<double>(s.gathered[static_cast<std::size_t>(c)]) / h;
+  if (layout.coloured && c != 1) j[c == 0 ? layout.red() : layout.blue()] = -colour * sky_irradiance(x, s.sky, s.hidden) / by.other;
+  if (layout.floor) j[layout.floor_albedo()] = -(x.flash_intensity * by_floor + colour * x.sky[0] * static_cast<double>(s.hidden[0])) / by.other;
+  if (layout.gloss) {
+    j[layout.reflectance()] = by.reflectance;
+    j[layout.roughness()] = by.roughness;
+  }
+  j[layout.bounce()] = -static_cast<double>(s.gathered[static_cast<std::size_t>(c)]) / by.other;
   return j;
 }
 
@@ -92,6 +118,47 @@ struct Deviations {
   VecP mean_j = VecP::Zero();
 };
 
+/// Below a coat ln albedo is no mean of ln(body / H), which noise and a highlight that is a little off would bend: Gauss-Newton on ln(B / (albedo H + mirrored)).
+/// r and j are put so that less their means they are the residuals and their derivatives with the albedo following, as without a coat.
+void fit_coated(const Lights& x, std::span<const LightSample> samples, int c, const Layout& layout, double cauchy_scale, Deviations& d) {
+  struct Term {
+    const LightSample* sample;
+    double h, mirrored, ln_b, body = 0;   // body: its share of what is predicted
+  };
+  std::vector<Term> terms;
+  for (const LightSample& s : samples)
+    if (const double h = irradiance(x, s, c), b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]); h > 0 && b > 0) terms.push_back({&s, h, mirrored_radiosity(x, s, c), std::log(b)});
+  const auto predict = [&] {
+    const double albedo = std::exp(d.mean_r);
+    for (std::size_t k = 0; k < terms.size(); ++k) {
+      const double whole = albedo * terms[k].h + terms[k].mirrored;
+      terms[k].body = albedo * terms[k].h / whole;
+      d.r[k] = terms[k].ln_b - std::log(whole);
+    }
+  };
+  double down = 0;
+  constexpr int kRounds = 4;
+  for (int round = 0; round < kRounds; ++round) {
+    predict();
+    double up = down = 0;
+    for (std::size_t k = 0; k < terms.size(); ++k) {
+      d.robust[k] = cauchy_scale > 0 ? 1.0 / (1.0 + d.w[k] * d.r[k] * d.r[k] / (cauchy_scale * cauchy_scale)) : 1.0;
+      up += d.w[k] * d.robust[k] * terms[k].body * d.r[k];
+      down += d.w[k] * d.robust[k] * terms[k].body * terms[k].body;
+    }
+    d.mean_r += std::clamp(up / down, -0.5, 0.5);
+  }
+  predict();
+  for (double& r : d.r) r += d.mean_r;
+  if (d.j.empty()) return;
+  d.mean_j.setZero();
+  for (std::size_t k = 0; k < terms.size(); ++k) {
+    d.j[k] = derivative(x, *terms[k].sample, c, layout, terms[k].h, std::exp(d.mean_r));
+    d.mean_j += (d.w[k] * d.robust[k] * terms[k].body / down) * d.j[k];
+  }
+  for (std::size_t k = 0; k < terms.size(); ++k) d.j[k] += (1 - terms[k].body) * d.mean_j;
+}
+
 /// weigh: the lights that the weights belong to; held still while steps are compared, since a step could lower the objective by lowering weights alone.
 /// with_derivatives false: j, mean_j and shadow stay empty.
 bool deviations(const Lights& x, const Lights& weigh, std::span<const LightSample> samples, int c, const Layout& layout, double cauchy_scale, bool with_derivatives, Deviations& d) {
@@ -100,12 +167,12 @@ bool deviations(const Lights& x, const Lights& weigh, std::span<const LightSampl
   d.shadow.clear();
   d.j.clear();
   for (const LightSample& s : samples) {
-    const double h = irradiance(x, s, c), b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]);
+    const double h = irradiance(x, s, c), b = body_radiosity(x, s, c);
     if (!(h > 0) || !(b > 0)) continue;
     d.r.push_back(std::log(b / h));
     d.w.push_back(sample_weight(weigh, s) * static_cast<double>(s.trust));
     if (!with_derivatives) continue;
-    d.j.push_back(derivative(x, s, c, layout, h));
+    d.j.push_back(derivative(x, s, c, layout, h, b / h));
     const double gathered = -x.bounce * d.j.back()[layout.bounce()];
     d.shadow.push_back(gathered > 0.5 ? gathered : 0);
   }
@@ -125,6 +192,7 @@ bool deviations(const Lights& x, const Lights& weigh, std::span<const LightSampl
   }
   d.mean_j.setZero();
   for (std::size_t k = 0; k < d.j.size(); ++k) d.mean_j += (d.w[k] * d.robust[k] / sw) * d.j[k];
+  if (x.gloss.on) fit_coated(x, samples, c, layout, cauchy_scale, d);
   return true;
 }
 
@@ -203,17 +271,22 @@ double light_variance(const Lights& lights, const LightSample& s) {
   const double h = irradiance(lights, s, 1);
   const double direct = h > 0 ? lights.flash_intensity * static_cast<double>(s.flash) / h : 0;
   const double normal = direct * static_cast<double>(s.tan_flash) * kNormalSd, spread = 0.3 * direct * static_cast<double>(s.spread), gather = kGatherSd * (1 - direct);
-  return static_cast<double>(s.variance) + normal * normal + spread * spread + gather * gather;
+  double highlight = 0;
+  if (lights.gloss.on) {
+    const double b = body_radiosity(lights, s, 1);
+    highlight = kHighlightSd * (1 - b / static_cast<double>(s.radiosity[1]));
+  }
+  return static_cast<double>(s.variance) + normal * normal + spread * spread + gather * gather + highlight * highlight;
 }
 
 void add_references(const Lights& x, const Lights& weigh, std::span<const ReferenceSample> references, const Layout& layout, Normal& n) {
   for (const ReferenceSample& ref : references)
     for (int c = 0; c < 3; ++c) {
       const auto at = static_cast<std::size_t>(c);
-      const double h = irradiance(x, ref.sample, c), b = static_cast<double>(ref.sample.radiosity[at]);
+      const double h = irradiance(x, ref.sample, c), b = body_radiosity(x, ref.sample, c);
       if (!(h > 0) || !(b > 0)) continue;
       const double r = std::log(b / h) - std::log(ref.albedo[at]);
-      const VecP j = derivative(x, ref.sample, c, layout, h);
+      const VecP j = derivative(x, ref.sample, c, layout, h, b / h);
       // The channels of one target share its error: together they count once. What the light model is good for at that place counts too: a target in
       // shadow, or seen by a grazing flash, says less.
       const double w = 1.0 / (3.0 * (ref.sigma * ref.sigma + light_variance(weigh, ref.sample)));
@@ -255,6 +328,12 @@ void add_priors(const Lights& x, const Lights& weigh, const LightSolveOptions& o
     n.g[layout.floor_albedo()] -= kWeight * e;
     n.objective += 0.5 * kWeight * e * e;
   }
+  if (layout.gloss)
+    for (const auto& [at, off, sd] : {std::tuple{layout.reflectance(), std::log(x.gloss.reflectance / kReflectance), kReflectanceSd}, std::tuple{layout.roughness(), std::log(x.gloss.roughness / kRoughness), kRoughnessSd}}) {
+      n.a(at, at) += 1 / (sd * sd);
+      n.g[at] -= off / (sd * sd);
+      n.objective += 0.5 * off * off / (sd * sd);
+    }
   // Directional sky terms are small against the mean: a weak pull to zero keeps unseen directions quiet.
   for (int k = 1; k < layout.sky_terms; ++k) {
     const double scale = std::max(weigh.sky[0], 1e-6 * weigh.flash_intensity), ws = 1.0 / (scale * scale), value = x.sky[static_cast<std::size_t>(k)];
@@ -274,6 +353,10 @@ Lights stepped(const Lights& x, const VecP& step, const Layout& layout) {
     y.sky_colour[2] *= std::exp(std::clamp(step[layout.blue()], -0.5, 0.5));
   }
   if (layout.floor) y.floor_albedo = std::clamp(y.floor_albedo + step[layout.floor_albedo()], 0.0, kWhitestFloor);
+  if (layout.gloss) {
+    y.gloss.reflectance = std::min(kMostReflectance, y.gloss.reflectance * std::exp(std::clamp(step[layout.reflectance()], -0.5, 0.5)));
+    y.gloss.roughness = std::clamp(y.gloss.roughness * std::exp(std::clamp(step[layout.roughness()], -0.3, 0.3)), kSmoothest, kRoughest);
+  }
   y.bounce = std::clamp(y.bounce + step[layout.bounce()], 0.0, 2.0);
   return y;
 }
@@ -304,8 +387,29 @@ double sky_irradiance(const Lights& lights, std::span<const float, kSkyTerms> sk
 double irradiance(const Lights& lights, const LightSample& s, int c) {
   const auto at = static_cast<std::size_t>(c);
   const double by_floor = lights.floor ? lights.floor_albedo * static_cast<double>(s.floor_flash) : 0.0;
+  if (lights.gloss.on) {
+    const CoatFactors f = coat_factors(lights.gloss, s.angles);
+    return f.direct * lights.flash_intensity * static_cast<double>(s.flash) + f.other * other_irradiance(lights, s, c);
+  }
   return lights.flash_intensity * (static_cast<double>(s.flash) + by_floor) + lights.bounce * static_cast<double>(s.gathered[at]) +
          lights.sky_colour[at] * sky_irradiance(lights, s.sky, s.hidden);
+}
+
+double other_irradiance(const Lights& lights, const LightSample& s, int c) {
+  const auto at = static_cast<std::size_t>(c);
+  const double by_floor = lights.floor ? lights.floor_albedo * static_cast<double>(s.floor_flash) : 0.0;
+  return lights.flash_intensity * by_floor + lights.bounce * static_cast<double>(s.gathered[at]) + lights.sky_colour[at] * sky_irradiance(lights, s.sky, s.hidden);
+}
+
+double mirrored_radiosity(const Lights& lights, const LightSample& s, int c) {
+  if (!lights.gloss.on) return 0;
+  const CoatFactors f = coat_factors(lights.gloss, s.angles);
+  return f.direct_mirrored * lights.flash_intensity * static_cast<double>(s.flash) + f.other_mirrored * other_irradiance(lights, s, c);
+}
+
+double body_radiosity(const Lights& lights, const LightSample& s, int c) {
+  const auto b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]);
+  return lights.gloss.on ? below_coat(b, mirrored_radiosity(lights, s, c)) : b;
 }
 
 double sample_weight(const Lights& lights, const LightSample& s) {
@@ -319,14 +423,14 @@ double independent_residuals(std::span<const LightSample> samples, const LightSo
 }
 
 double light_misfit(std::span<const LightSample> samples, const LightSolveOptions& options, const Lights& lights, const Lights& base) {
-  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor};
+  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss};
   const std::vector<Group> groups = groups_of(samples);
   const double scale = kCauchy * std::max(robust_scale(base, samples, groups, layout).first, 0.1), dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy));
   return accumulate(lights, base, samples, groups, layout, scale, false).objective * information_of(groups, options) / (dispersion * dispersion);
 }
 
 LightSolution solve_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& start) {
-  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor};
+  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss};
   const std::vector<Group> groups = groups_of(samples);
   if (groups.empty() && references.empty() && !options.flash_ln_mean)
     throw Error("lights: no surfel is seen twice, nothing of known albedo is given and the flash has no calibrated range: the light cannot be found");
@@ -341,6 +445,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
   if (!layout.coloured) x.sky_colour = {1, 1, 1};
   if (layout.floor && !x.floor) x.floor_albedo = kFloorAlbedo;
   x.floor = layout.floor;
+  x.gloss.on = layout.gloss;
   for (int k = options.sky_terms; k < kSkyTerms; ++k) x.sky[static_cast<std::size_t>(k)] = 0;
   const int p = layout.size();
   double damping = 1e-4;

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "optimize/gather.h"
+#include "optimize/gloss.h"
 
 namespace chiaro::optimize {
 
@@ -22,6 +23,7 @@ struct Lights {
   bool floor = false;
   double floor_albedo = 0;                    ///< of a floor outside the cloud (optimize/floor.h)
   double bounce = 1;                          ///< factor on the gathered light; 1 within what the transport is good for
+  Gloss gloss;                                ///< of all surfaces
 };
 
 /// One photograph's view of one surfel.
@@ -39,6 +41,7 @@ struct LightSample {
   Vec3f lean = Vec3f::Zero();                 ///< change of ln(flash) by a turn of the normal, 1/rad: towards the flash, tan_flash long
   Vec3f flash_by_shift = Vec3f::Zero();       ///< change of ln(flash) by a shift of the flash in camera axes, 1/m
   float trust = 1;                            ///< extra weight, 0..1 (pairs of unlike chroma)
+  GlossAngles angles;
 };
 
 /// Something of known albedo.
@@ -52,6 +55,7 @@ struct LightSolveOptions {
   int sky_terms = 1;                          ///< 0, 1, 4 or 9
   bool sky_colour = false;                    ///< red and blue of the sky are unknowns too; needs sky_terms > 0
   bool floor = false;                         ///< there is one, of unknown albedo
+  bool gloss = false;                         ///< the surfaces have a coat of unknown reflectance and roughness
   std::optional<double> flash_ln_mean, flash_ln_sd;   ///< prior on ln flash_intensity
   bool flash_is_guess = false;                ///< that prior keeps the scale sane and is no knowledge of it
   std::optional<double> ambient_guess;        ///< prior on sky[0], 35 % wide: where the flash reaches nothing, so that only this holds the scale
@@ -65,7 +69,7 @@ struct LightSolution {
   Lights lights;
   int sky_terms = 0;
   bool sky_colour = false;
-  Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), ln red and ln blue of the sky if solved, floor_albedo if there is one, bounce): sandwich estimate, priors and the common error of gathered light included
+  Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), ln red and ln blue of the sky if solved, floor_albedo if there is one, ln reflectance and ln roughness of a coat, bounce): sandwich estimate, priors and the common error of gathered light included
   double scatter = 0;                         ///< robust standard deviation of ln albedo between samples of a group
   std::size_t groups = 0, samples = 0;
   int iterations = 0;
@@ -76,8 +80,13 @@ struct LightSolution {
 /// The sky's part before its colour, directly and by way of the floor.
 double sky_irradiance(const Lights& lights, std::span<const float, kSkyTerms> sky, std::span<const float> hidden);
 
-/// Irradiance of a sample, channel c.
+/// Irradiance of a sample, channel c: of the body below a coat if there is gloss, so that albedo = body_radiosity / irradiance.
 double irradiance(const Lights& lights, const LightSample& sample, int c);
+/// Of it, before a coat, what does not come straight from the flash.
+double other_irradiance(const Lights& lights, const LightSample& sample, int c);
+/// What a coat mirrors towards the camera, and the sample's radiosity without it: below_coat().
+double mirrored_radiosity(const Lights& lights, const LightSample& sample, int c);
+double body_radiosity(const Lights& lights, const LightSample& sample, int c);
 
 /// Base weight of a sample: 1 / variance of ln(B / H) expected from noise, normals, sub-pixel spread and gather noise.
 double sample_weight(const Lights& lights, const LightSample& sample);

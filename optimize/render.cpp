@@ -6,6 +6,7 @@
 #include <unordered_map>
 
 #include "optimize/fields.h"
+#include "optimize/gloss_light.h"
 #include "optimize/radiosity.h"
 #include "stream/base/error.h"
 #include "stream/base/parallel.h"
@@ -59,7 +60,7 @@ OtherLight other_light(const stream::Store& store, const Scene& scene, const std
   OtherLight other;
   if (lights.floor && scene.floor) other.floor_flash = flash_by_floor(scene.proxy, scene.transport, smoother, tracer, *scene.floor, flash_in_world);
   const std::vector<float> direct = direct_irradiance(scene.transport, o.flash, other.floor_flash, lights);
-  const std::vector<float> b = forward_radiosity(scene.transport, proxy_albedo, direct, lights.bounce, scatterings);
+  const std::vector<float> b = forward_radiosity(scene.transport, lights.gloss.on ? coated_albedo(lights.gloss, proxy_albedo) : proxy_albedo, direct, lights.bounce, scatterings);
   gather_radiosity(scene.transport, b, other.gathered);
   smoother.apply(other.gathered, 3, kSmoothPasses);
   return other;
@@ -111,6 +112,8 @@ struct Shader {
     return cosine / r2;
   }
 
+  CoatFactors coat(const Vec3f& p, const Vec3f& n) const { return lights.gloss.on ? coat_factors(lights.gloss, gloss_angles(p, n, {eye, flash})) : CoatFactors{}; }
+
   Shaded shade(int x, int y, RenderStats& stats) const {
     const int n = options.subpixels;
     Vec3f direct = Vec3f::Zero(), albedo = Vec3f::Zero(), point = Vec3f::Zero(), normal = Vec3f::Zero();
@@ -136,7 +139,9 @@ struct Shader {
         albedo += a;
         point += p;
         normal += hit.normal;
-        if (options.mode != RenderMode::kAlbedo) direct += a * flash_irradiance(p, hit);
+        if (options.mode == RenderMode::kAlbedo) continue;
+        const CoatFactors f = coat(p, hit.normal);
+        direct += (a * static_cast<float>(f.direct) + Vec3f::Constant(static_cast<float>(f.direct_mirrored))) * flash_irradiance(p, hit);
       }
     if (hits == 0) return pixel;
     ++stats.pixels_hit;
@@ -157,9 +162,10 @@ struct Shader {
       if (lights.floor && scene.floor) hidden = interpolate<kSkyTerms>(stencil, scene.transport.hidden);
       const auto ambient = static_cast<float>(std::max(0.0, sky_irradiance(lights, sky, hidden)));
       const float by_floor = other.floor_flash.empty() ? 0.0f : static_cast<float>(lights.floor_albedo * lights.flash_intensity) * interpolate<1>(stencil, other.floor_flash)[0];
+      const CoatFactors f = coat(point * scale, normal.normalized());
       for (std::size_t c = 0; c < 3; ++c)
         radiance[static_cast<Eigen::Index>(c)] +=
-            albedo[static_cast<Eigen::Index>(c)] * (by_floor + static_cast<float>(lights.sky_colour[c]) * ambient + static_cast<float>(lights.bounce) * g[c]);
+            (albedo[static_cast<Eigen::Index>(c)] * static_cast<float>(f.other) + static_cast<float>(f.other_mirrored)) * (by_floor + static_cast<float>(lights.sky_colour[c]) * ambient + static_cast<float>(lights.bounce) * g[c]);
     }
     pixel.value = radiance * (coverage / kPi);
     return pixel;

@@ -40,6 +40,7 @@ std::optional<RunLights> read_lights(const RunFolder& folder) {
       r.lights.floor = found->contains("floor_albedo");
       if (r.lights.floor) r.lights.floor_albedo = found->at("floor_albedo");
       r.lights.bounce = found->at("bounce");
+      if (found->contains("gloss")) r.lights.gloss = {true, found->at("gloss").at("reflectance"), found->at("gloss").at("roughness")};
       for (const Json& p : project.at("acquisition"))
         if (p.at("name") == r.acquisition && !p.at("flash").is_null())
           for (int i = 0; i < 3; ++i)

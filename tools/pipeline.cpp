@@ -356,6 +356,9 @@ class Pipeline {
     return {{"normal_rad", e.normal_rad}, {"registration_px", e.registration_px}, {"other_light", e.other_light}, {"spread", e.spread}, {"rest", e.rest}, {"estimated", e.estimated}};
   }
 
+  /// null: Lambert's surfaces.
+  static Json gloss_json(const optimize::Gloss& g) { return g.on ? Json{{"reflectance", g.reflectance}, {"roughness", g.roughness}} : Json(); }
+
   static Json light_json(const optimize::AcquisitionResult& r) {
     Json lights = Json::array();
     for (const optimize::LightSolution& s : r.lights) {
@@ -366,12 +369,12 @@ class Pipeline {
         covariance.push_back(row);
       }
       lights.push_back({{"flash_intensity", s.lights.flash_intensity}, {"sky", s.lights.sky}, {"sky_colour", s.lights.sky_colour}, {"bounce", s.lights.bounce},
-                        {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"floor", s.lights.floor}, {"floor_albedo", s.lights.floor_albedo}, {"covariance", covariance}, {"scatter", s.scatter},
+                        {"gloss", gloss_json(s.lights.gloss)}, {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"floor", s.lights.floor}, {"floor_albedo", s.lights.floor_albedo}, {"covariance", covariance}, {"scatter", s.scatter},
                         {"groups", s.groups}, {"samples", s.samples}, {"iterations", s.iterations}, {"converged", s.converged}, {"scale_known", s.scale_known}});
     }
     Json errors = Json::array();
     for (const optimize::ErrorModel& e : r.errors) errors.push_back(error_json(e));
-    return {{"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"strangers", r.strangers}, {"flash_shift", {r.flash_shift[0], r.flash_shift[1], r.flash_shift[2]}}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
+    return {{"gloss_evidence", r.gloss_evidence ? Json(*r.gloss_evidence) : Json()}, {"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"strangers", r.strangers}, {"flash_shift", {r.flash_shift[0], r.flash_shift[1], r.flash_shift[2]}}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
             {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
   }
 
@@ -382,6 +385,7 @@ class Pipeline {
       s.lights.flash_intensity = l["flash_intensity"];
       s.lights.sky = l["sky"];
       s.lights.sky_colour = l["sky_colour"];
+      if (const Json& g = l["gloss"]; !g.is_null()) s.lights.gloss = {true, g["reflectance"], g["roughness"]};
       s.sky_terms = l["sky_terms"];
       s.sky_colour = l["sky_coloured"];
       s.lights.floor = l["floor"];
@@ -399,6 +403,7 @@ class Pipeline {
       s.scale_known = l["scale_known"];
       r.lights.push_back(s);
     }
+    if (const Json& e = j["gloss_evidence"]; !e.is_null()) r.gloss_evidence = e.get<double>();
     for (const Json& e : j["sky_evidence"]) r.sky_evidence.push_back({e["model"].get<std::string>(), e["parameters"].get<int>(), e["criterion"].get<double>()});
     for (const Json& e : j["errors"]) r.errors.push_back({e["normal_rad"], e["registration_px"], e["other_light"], e["spread"], e["rest"], e["estimated"]});
     r.light_of_photograph = j["light_of_photograph"].get<std::vector<std::size_t>>();
@@ -488,6 +493,7 @@ class Pipeline {
       for (int k = 0; k < sky; ++k) names.push_back("sky_" + std::to_string(k));
       if (s.sky_colour) names.insert(names.end(), {"ln_sky_red", "ln_sky_blue"});
       if (s.lights.floor) names.push_back("floor_albedo");
+      if (s.lights.gloss.on) names.insert(names.end(), {"ln_gloss_reflectance", "ln_gloss_roughness"});
       names.push_back("bounce");
       Json covariance = Json::array();
       for (Eigen::Index i = 0; i < s.covariance.rows(); ++i) {
@@ -505,11 +511,13 @@ class Pipeline {
                   {"scatter_of_ln_albedo", s.scatter}, {"samples", s.samples}, {"converged", s.converged}};
       found["errors"] = error_json(errors);
       found["open_direction"] = to_json(light_spread(s));
+      if (s.lights.gloss.on) found["gloss"] = gloss_json(s.lights.gloss);
       if (s.lights.floor) found["floor_albedo"] = s.lights.floor_albedo;
       return found;
     };
     a["sky_model"] = lights.sky_model;
     if (!lights.sky_evidence.empty()) a["sky_evidence"] = evidence_json(lights.sky_evidence);
+    if (lights.gloss_evidence) a["gloss_evidence"] = *lights.gloss_evidence;
     a["proxy_surfels"] = lights.proxy_surfels;
     for (const Photo& p : shoot.photos)
       if (lights.exposures.size() > p.index_in_lights && lights.exposures[p.index_in_lights] != 1) a["exposures"][p.input->key] = lights.exposures[p.index_in_lights];
