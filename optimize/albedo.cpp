@@ -24,7 +24,6 @@ constexpr int kBandRows = 128;
 constexpr double kImpossible = 2;
 constexpr double kBelowBlack = 6;      // deviations of the read noise: darker is no photograph of anything
 constexpr double kCommon = 0.25;       // of the variance by which photographs disagree, what they have in common beside (measured on two rendered scenes)
-constexpr double kHighlightSd = 0.3;   // of a highlight: the roughness is a mean over the surface, normals are off
 constexpr double kShadowDoubt = 0.7;   // of the flash, where a shadow's edge may be on either side of the pixel
 
 struct PixelAlbedo {

@@ -22,6 +22,7 @@ struct Deviation {
 
 struct Seen {
   double ln_albedo = 0, direct = 0;
+  double highlight = 0;   ///< variance of ln_albedo by what a coat mirrors
   const LightSample* sample = nullptr;
 };
 
@@ -36,6 +37,10 @@ bool read(const Lights& lights, const LightSample& s, Seen& seen) {
     seen.direct += lights.flash_intensity * static_cast<double>(s.flash) / h / 3;
   }
   seen.ln_albedo = ln;
+  if (lights.gloss.on) {
+    const double body = body_radiosity(lights, s, 1), relative = kHighlightSd * (static_cast<double>(s.radiosity[1]) - body) / body;
+    seen.highlight = relative * relative;
+  }
   seen.sample = &s;
   return true;
 }
@@ -59,12 +64,12 @@ void add_deviations(std::span<const Seen> seen, std::vector<Deviation>& out) {
     mean += s.ln_albedo / n;
     lean += s.direct * s.sample->lean.cast<double>() / n;
     causes += own_causes(s) / (n * n);
-    noise += static_cast<double>(s.sample->noise) / (3 * n * n);   // of the mean over three channels
+    noise += static_cast<double>(s.sample->noise) / (3 * n * n) + s.highlight / (n * n);   // of the mean over three channels
   }
   for (const Seen& s : seen) {
     Deviation d;
     d.square = (s.ln_albedo - mean) * (s.ln_albedo - mean);
-    d.noise = noise + (1 - 2 / n) * static_cast<double>(s.sample->noise) / 3;
+    d.noise = noise + (1 - 2 / n) * (static_cast<double>(s.sample->noise) / 3 + s.highlight);
     d.cause = causes + (1 - 2 / n) * own_causes(s);
     d.cause[0] = (s.direct * s.sample->lean.cast<double>() - lean).squaredNorm();
     out.push_back(d);

@@ -43,6 +43,9 @@ CoatFactors coat_factors(const Gloss& gloss, const GlossAngles& angles);
 inline constexpr double kLeastBody = 0.25;
 double below_coat(double radiosity, double mirrored);
 
+/// Relative deviation of what is mirrored of the flash: normals, and a roughness that is not the same everywhere.
+inline constexpr double kHighlightSd = 0.2;
+
 /// What a coat does to the albedo of a pixel beside Lambert's radiosity / irradiance.
 struct CoatedAlbedo {
   std::array<double, 3> factor{1, 1, 1};

@@ -23,7 +23,6 @@ constexpr double kFloorAlbedo = 0.3, kFloorSd = 0.3, kWhitestFloor = 0.95;   ///
 constexpr double kGuessSd = 0.35;                    ///< relative, of an ambient light guessed from the brightest surfaces
 constexpr double kReflectance = 0.04, kReflectanceSd = 0.2, kMostReflectance = 0.12;   ///< sd of its logarithm: clear coats have an index of 1.4 to 1.6
 constexpr double kRoughness = 0.25, kRoughnessSd = 0.5, kSmoothest = 0.08, kRoughest = 0.6;   ///< sd of its logarithm
-constexpr double kHighlightSd = 0.2;                 ///< relative, of a highlight: normals, roughness that is not the same everywhere
 constexpr double kWhiteSd = 0.1;                     ///< of ln albedo above 1
 constexpr double kCauchy = 2.385;                    ///< 95 % efficiency for normal residuals (Holland & Welsch 1977)
 constexpr std::size_t kGroupGrain = 256;
