@@ -1,6 +1,7 @@
 #include "optimize/light_problem.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "optimize/albedo_mean.h"
@@ -29,6 +30,7 @@ constexpr double kImproved = 0.98;     ///< of that deviation: 0.965 for 1 cm, 0
 constexpr double kPlaceSdMetres = 0.03, kFarthestMetres = 0.06;   ///< how well people measure where the flash is; nobody mistakes more
 constexpr double kLeastStepMetres = 5e-4;
 constexpr double kGlossyBounceSd = 0.05;   ///< least deviation of the factor on gathered light where surfaces mirror: they throw more one way than another
+constexpr std::array kRoughnessStarts{0.12, 0.2, 0.3, 0.45};   ///< a broad lobe is another minimum: it passes for a change of the lights
 constexpr std::size_t kGlossLooks = 3;     ///< photographs of one place that tell a highlight from the rest
 constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
 
@@ -297,10 +299,17 @@ bool LightProblem::choose_gloss(const Lights& start, LightSolution& solution) {
   gloss_ = true;
   LightSolveOptions options = current_options(start);
   options.max_iterations = kTrialIterations;
-  const LightSolution tried = solve_lights(samples_, current_references(), options, coated);
-  gloss_evidence_ = gloss_criterion(samples_, plain, base, tried.lights);
+  LightSolution best;
+  for (const double roughness : kRoughnessStarts) {
+    coated.gloss.roughness = roughness;
+    const LightSolution tried = solve_lights(samples_, current_references(), options, coated);
+    const double criterion = gloss_criterion(samples_, plain, base, tried.lights);
+    if (gloss_evidence_ && !(criterion < *gloss_evidence_)) continue;
+    gloss_evidence_ = criterion;
+    best = tried;
+  }
   gloss_ = *gloss_evidence_ < 0;
-  if (gloss_) solution = tried;
+  if (gloss_) solution = best;
   return gloss_;
 }
 

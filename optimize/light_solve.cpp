@@ -21,7 +21,7 @@ constexpr double kShadowSd = 0.02;                   ///< relative error of the 
 constexpr double kSkyColourSd = 0.5;                 ///< of ln red and ln blue of the ambient light beside green: a candle is 1.2 off, shade -0.3
 constexpr double kFloorAlbedo = 0.3, kFloorSd = 0.3, kWhitestFloor = 0.95;   ///< soil and stone to whitewash
 constexpr double kGuessSd = 0.35;                    ///< relative, of an ambient light guessed from the brightest surfaces
-constexpr double kReflectance = 0.04, kReflectanceSd = 0.2, kMostReflectance = 0.12;   ///< sd of its logarithm: clear coats have an index of 1.4 to 1.6
+constexpr double kReflectance = 0.04, kReflectanceSd = 0.2, kMostReflectance = 0.08;   ///< sd of its logarithm: clear coats have an index of 1.4 to 1.6
 constexpr double kRoughness = 0.25, kRoughnessSd = 0.5, kSmoothest = 0.08, kRoughest = 0.6;   ///< sd of its logarithm
 constexpr double kWhiteSd = 0.1;                     ///< of ln albedo above 1
 constexpr double kCauchy = 2.385;                    ///< 95 % efficiency for normal residuals (Holland & Welsch 1977)
@@ -270,12 +270,8 @@ double light_variance(const Lights& lights, const LightSample& s) {
   const double h = irradiance(lights, s, 1);
   const double direct = h > 0 ? lights.flash_intensity * static_cast<double>(s.flash) / h : 0;
   const double normal = direct * static_cast<double>(s.tan_flash) * kNormalSd, spread = 0.3 * direct * static_cast<double>(s.spread), gather = kGatherSd * (1 - direct);
-  double highlight = 0;
-  if (lights.gloss.on) {
-    const double b = body_radiosity(lights, s, 1);
-    highlight = kHighlightSd * (1 - b / static_cast<double>(s.radiosity[1]));
-  }
-  return static_cast<double>(s.variance) + normal * normal + spread * spread + gather * gather + highlight * highlight;
+  // Not of highlights: a coat that makes them larger would have fewer of them count.
+  return static_cast<double>(s.variance) + normal * normal + spread * spread + gather * gather;
 }
 
 void add_references(const Lights& x, const Lights& weigh, std::span<const ReferenceSample> references, const Layout& layout, Normal& n) {
