@@ -34,6 +34,7 @@ void declare(Args& args, Words& words) {
   args.option("--samples", words.options.samples, "S^2 rays a pixel, each with a path for ambient and bounced light", "S", 1, 16);
   args.option("--bounces", words.options.bounces, "of the light between surfaces", "B", 0, kMostBounces);
   args.option("--ambient", words.options.ambient_radiance, "radiance of the sky, W/(sr m^2)", "L", 0.0, 1e6);
+  args.option("--gloss", words.options.gloss_roughness, "roughness of a clear coat over all surfaces; 0 = matt", "A", 0.0, 1.0);
   args.flag("--no-flash", words.options.without_flash, "photograph each view once more without flash, to measure the ambient light");
   args.option("--threads", words.threads, "threads; 0 = all cores", "N", 0, 4096);
   args.require("--points");
@@ -54,7 +55,7 @@ void check(const Args& args, const Words& words) {
   if (words.points < 1 || words.points > std::uint64_t{1} << 40) throw UsageError(concat("--points ", words.points, ": expected 1 to ", std::uint64_t{1} << 40));
   if (words.project.empty() && words.file.empty()) throw UsageError("--out FILE is needed, or --project DIR");
   if (!words.project.empty()) return;
-  for (const char* flag : {"--photographs", "--size", "--samples", "--bounces", "--ambient", "--no-flash"})
+  for (const char* flag : {"--photographs", "--size", "--samples", "--bounces", "--ambient", "--gloss", "--no-flash"})
     if (args.count(flag) > 0) throw UsageError(concat(flag, " needs --project DIR, where the photographs go"));
 }
 

@@ -136,6 +136,7 @@ std::string truth_text(const SynthSpec& spec, const SynthProjectOptions& options
                                    {"ambient_radiance", result.ambient_radiance},
                                    {"ambient", closed ? "none: the room is closed" : "uniform grey"},
                                    {"bounces", options.bounces},
+                                   {"gloss_roughness", options.gloss_roughness},
                                    {"paths_per_pixel", options.samples * options.samples},
                                    {"albedo", "0.45 + 0.30 sin(12 x + 7 y), 0.45 + 0.30 sin(9 y + 8 z + 2), 0.45 + 0.30 sin(11 z - 6 x + 4); x y z = (position - offset) / scale"}};
   return out.dump(1) + "\n";
@@ -201,6 +202,7 @@ void SynthProjectOptions::validate() const {
   range("--samples", samples, 1, 16);
   range("--bounces", bounces, 0, kMostBounces);
   range("--ambient", ambient_radiance, 0, 1e6);
+  range("--gloss", gloss_roughness, 0, 1);
   if (cloud.empty() || fs::path(cloud).filename() != fs::path(cloud) || cloud.find_first_of("\"\\*?[") != std::string::npos)
     throw UsageError(concat("--out ", cloud, ": with --project, expected a file name without a folder, such as cloud.las"));
 }
@@ -208,7 +210,7 @@ void SynthProjectOptions::validate() const {
 SynthLights synth_lights(SynthKind kind, const SynthProjectOptions& options) {
   need_surface(kind);
   // Radiance about 0.5 in the middle distance; the room is larger, and what it reflects adds up.
-  return {kind == SynthKind::kRoom ? 45.0 : 30.0, kind == SynthKind::kRoom ? 0.0 : options.ambient_radiance, options.bounces};
+  return {kind == SynthKind::kRoom ? 45.0 : 30.0, kind == SynthKind::kRoom ? 0.0 : options.ambient_radiance, options.bounces, {options.gloss_roughness > 0, 0.04, options.gloss_roughness}};
 }
 
 std::vector<SynthView> synth_views(SynthKind kind, const SynthProjectOptions& options) {
@@ -260,7 +262,7 @@ SynthProjectResult write_synth_project(const SynthScene& scene, const fs::path& 
     write_photograph(*body, lights, views[static_cast<std::size_t>(k)], pixels, part.path(), photo_name(k, options.photographs), report);
     if (options.without_flash) {
       pixels.seed ^= 0x5851f42d4c957f2dull;
-      write_photograph(*body, {0, lights.ambient_radiance * kDarkExposureS / kFlashExposureS, lights.bounces}, views[static_cast<std::size_t>(k)], pixels, part.path(),
+      write_photograph(*body, {0, lights.ambient_radiance * kDarkExposureS / kFlashExposureS, lights.bounces, lights.gloss}, views[static_cast<std::size_t>(k)], pixels, part.path(),
                        photo_name(k, options.photographs), report);
     }
     report.progress(static_cast<std::uint64_t>(k) + 1);

@@ -20,6 +20,7 @@ struct SynthProjectOptions {
   double gain = 1e-4, read_sigma = 4e-4;   ///< noise of the photographs, declared in the project file
   std::string cloud = "cloud.ply";  ///< file name, .ply, .las or .pcd
   bool with_albedo = false;         ///< in the cloud
+  double gloss_roughness = 0;       ///< of a clear coat of reflectance 0.04 all over (optimize/gloss.h); 0: none
   bool without_flash = false;       ///< each view once more without flash, at a longer shutter time, as an acquisition of its own
   /// throws UsageError naming the option and its range.
   void validate() const;

@@ -5,6 +5,7 @@
 #include <numbers>
 #include <stdexcept>
 
+#include "optimize/gloss_light.h"
 #include "stream/base/parallel.h"
 #include "stream/base/rng.h"
 #include "tools/synth_scene.h"
@@ -28,6 +29,13 @@ double fraction(double v) { return v - std::floor(v); }
 
 Vec3d albedo_at(const Vec3d& p) { return synth_albedo(p).cast<double>(); }
 
+/// Share of the light that goes on to other surfaces.
+Vec3d sent_on(const SynthLights& lights, const Vec3d& p) {
+  const Vec3d albedo = albedo_at(p);
+  if (!lights.gloss.on) return albedo;
+  return albedo * (optimize::kMeanTransmission * optimize::kMeanTransmission) + Vec3d::Constant(lights.gloss.reflectance * optimize::kMeanReflection);
+}
+
 struct Photograph {
   const SynthBody& body;
   const SynthLights& lights;
@@ -38,16 +46,20 @@ struct Photograph {
   /// Radiance of what a ray sees, by one path. stratum: which of samples^2 equal parts of the hemisphere the path starts in.
   Vec3d radiance(const BodyHit& hit, std::uint64_t pixel, std::uint32_t stratum) const {
     const Vec3d albedo = albedo_at(hit.position);
-    Vec3d light = Vec3d::Constant(flash_irradiance(body, lights, flash, hit) / kPi);
+    const Vec3d direct = Vec3d::Constant(flash_irradiance(body, lights, flash, hit) / kPi);
+    Vec3d other = Vec3d::Zero();
     if (lights.bounces > 0 || lights.ambient_radiance > 0) {
       // The parts are shifted by an offset of the pixel's own: each path for itself is then even over the hemisphere, wherever in the pixel it starts.
       const auto shift = uniform01x4(pixels.seed, Purpose::kPixelJitter, pixel, 0), jitter = uniform01x4(pixels.seed, Purpose::kPixelJitter, pixel, 1 + stratum);
       const auto n = static_cast<std::uint32_t>(pixels.samples);
       const double u = fraction((stratum / n + static_cast<double>(jitter[0])) / n + static_cast<double>(shift[0]));
       const double v = fraction((stratum % n + static_cast<double>(jitter[1])) / n + static_cast<double>(shift[1]));
-      light += incoming_by_one_path(body, lights, flash, hit, u, v, pixels.seed, pixel, stratum);
+      other = incoming_by_one_path(body, lights, flash, hit, u, v, pixels.seed, pixel, stratum);
     }
-    return albedo.cwiseProduct(light);
+    if (!lights.gloss.on) return albedo.cwiseProduct(direct + other);
+    const optimize::GlossAngles angles = optimize::gloss_angles(hit.position.cast<float>(), hit.normal.cast<float>(), {eye.cast<float>(), flash.cast<float>()});
+    const optimize::CoatFactors f = optimize::coat_factors(lights.gloss, angles);
+    return albedo.cwiseProduct(f.direct * direct + f.other * other) + f.direct_mirrored * direct + f.other_mirrored * other;
   }
 
   void pixel(int x, int y, float* rgb, std::uint8_t& covered) const {
@@ -99,7 +111,7 @@ Vec3d incoming_by_one_path(const SynthBody& body, const SynthLights& lights, con
     if (!next) return light + lights.ambient_radiance * share;
     if (segment == lights.bounces) break;
     at = *next;
-    const Vec3d albedo = albedo_at(at.position);
+    const Vec3d albedo = sent_on(lights, at.position);
     share = share.cwiseProduct(albedo);
     light += flash_irradiance(body, lights, flash, at) / kPi * share;
     // From here on a path goes on as often as light would, and those that do stand for the others: the mean stays, and long paths are rare.

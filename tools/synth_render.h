@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "optimize/gloss.h"
 #include "stream/photo/camera.h"
 #include "tools/synth_body.h"
 
@@ -16,6 +17,7 @@ struct SynthLights {
   double flash_intensity = 0;    ///< W/sr
   double ambient_radiance = 0;   ///< of every direction that meets no surface, grey; W/(sr m^2)
   int bounces = 11;              ///< how often light goes from surface to surface; 0: surfaces do not light each other. At most kMostBounces
+  optimize::Gloss gloss{};       ///< of all surfaces; what they throw on each other is spread evenly
 };
 inline constexpr int kMostBounces = 60;
 

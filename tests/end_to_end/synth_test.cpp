@@ -41,6 +41,21 @@ TEST_F(Synth, AStatueComesOutWithinItsMemory) {
   EXPECT_LE(made.peak_bytes, 128u << 20);
 }
 
+// A glazed statue: the coat is found, and taken off the albedo.
+TEST_F(Synth, AGlazedStatueComesOutWithoutItsHighlights) {
+  const ProcessResult made = make({"statue:noise=0.0003,normals=false", "--points", "100000", "--photographs", "10", "--size", "320x240", "--gloss", "0.25"});
+  ASSERT_EQ(made.code, 0) << made.err;
+  const ProcessResult ran = run("out", {});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  const AlbedoError e = albedo_error(read_ply(at("out/albedo.ply")), truth());
+  const nlohmann::json lights = json("out/lights.json").at("acquisitions").at(0);
+  std::cout << "glazed statue: absolute " << e.absolute << ", scaled " << e.scaled << ", gloss " << lights["gloss"] << ", evidence " << lights["gloss_evidence"] << ", flash " << lights["flash_intensity"] << '\n';
+  EXPECT_LT(lights["gloss_evidence"].get<double>(), 0);
+  EXPECT_NEAR(lights["gloss"]["roughness"].get<double>(), 0.25, 0.03);
+  EXPECT_NEAR(lights["flash_intensity"].get<double>(), 30, 2 * lights["flash_intensity_sd"].get<double>());
+  EXPECT_LE(e.scaled, 0.03);
+}
+
 // One flash photograph cannot tell flash from ambient light; the same view without flash, at four times the shutter time, can.
 TEST_F(Synth, APhotographWithoutFlashSettlesTheAmbientLightOfASingleOne) {
   const ProcessResult made = make({"statue:noise=0.0003", "--points", "60000", "--photographs", "2", "--size", "240x180", "--no-flash"});
