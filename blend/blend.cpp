@@ -33,7 +33,7 @@ class Blender {
           MemoryBudget& budget, Reporter& report)
       : store_(store), options_(options), scratch_(scratch), budget_(budget), report_(report), photographs_(in_order_of_names(photographs)),
         scale_(scale_of(photographs_, report)),
-        window_{.low_radius = static_cast<float>(options.low_band_px) * scale_.footprint, .reference_footprint = scale_.footprint, .border_px = static_cast<float>(options.border_px)},
+        window_(window_options(options, scale_)),
         walk_(store, photographs_, window_, budget, report), was_read_(photographs_.size()) {
     Hasher hash;
     hash.add(options_key(store, options));
@@ -42,6 +42,7 @@ class Blender {
       photograph_keys_.push_back(photograph_key(*p));
       hash.add(photograph_keys_.back());
     }
+    if (options.known) add_known(hash);
     key_ = hash.hex();
   }
 
@@ -70,6 +71,15 @@ class Blender {
     LeafShape s{{}, num_photographs(), counters, record_bytes};
     for (const std::uint32_t leaf : store_.leaves()) s.surfels_of_leaf.push_back(store_.chunks()[leaf].count);
     return s;
+  }
+
+  void add_known(Hasher& hash) const {
+    hash.add(options_.known->scatter);
+    for (const std::size_t i : callers_index_) {
+      const Alignment& a = options_.known->alignment[i];
+      for (const double gain : options_.known->gain[i]) hash.add(gain);
+      for (const float v : {a.shift_px.x(), a.shift_px.y(), a.trust}) hash.add(static_cast<double>(v));
+    }
   }
 
   std::vector<Sample> samples_of(const PhotoWalk::Visit& v, std::uint32_t photograph, const Vec2f& shift_px) const {
@@ -206,7 +216,13 @@ class Blender {
   /// From every n-th surfel, so that memory does not grow with the model.
   void compare_photographs() {
     agreement_.log_gain.assign(num_photographs(), Vec3f::Zero());
-    if (!votes_) return;
+    if (options_.known) {
+      for (std::uint32_t k = 0; k < num_photographs(); ++k)
+        for (int c = 0; c < 3; ++c) agreement_.log_gain[k][c] = static_cast<float>(std::log(options_.known->gain[callers_index_[k]][static_cast<std::size_t>(c)]));
+      agreement_.scatter = static_cast<float>(options_.known->scatter);
+      tolerance_ = tolerance_for(agreement_.scatter);
+    }
+    if (!votes_ || options_.known) return;
     constexpr std::uint64_t kMostSurfels = 1 << 15;
     std::uint64_t total = 0, index = 0;
     for (const std::uint32_t leaf : store_.leaves()) total += store_.chunks()[leaf].count;
@@ -229,7 +245,9 @@ class Blender {
   void inspect_photographs() {
     inspections_.resize(num_photographs());
     alignments_.resize(num_photographs());
-    if (!votes_ || num_photographs() < 3) return;
+    if (options_.known)
+      for (std::uint32_t k = 0; k < num_photographs(); ++k) alignments_[k] = options_.known->alignment[callers_index_[k]];
+    if (!votes_ || options_.known || num_photographs() < 3) return;
     report_.begin("blend: inspect photographs", num_photographs(), "photographs");
     for (std::uint32_t k = 0; k < num_photographs(); ++k) {
       report_.progress(k);
@@ -392,11 +410,14 @@ void BlendOptions::validate() const {
   if (!(border_px >= 1 && border_px <= 64)) throw std::invalid_argument("BlendOptions: border_px must be in 1 .. 64");
   if (!(high_band_power >= 1 && high_band_power <= 8)) throw std::invalid_argument("BlendOptions: high_band_power must be in 1 .. 8");
   if (!(shared_sigma >= 0)) throw std::invalid_argument("BlendOptions: shared_sigma must not be negative");
+  if (known && !keep.empty()) throw std::invalid_argument("BlendOptions: a blend of what is known beforehand is not kept");
 }
 
 BlendStats blend(const stream::Store& store, std::span<const BlendPhotograph> photographs, const BlendOptions& options,
                  const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report) {
   options.validate();
+  if (options.known && (options.known->gain.size() != photographs.size() || options.known->alignment.size() != photographs.size()))
+    throw std::invalid_argument("blend: what is known is of other photographs");
   make_folder(scratch);
   const BlendStats stats = Blender(store, photographs, options, scratch, budget, report).run();
   for (const char* file : {Blender::kVotesFile, Blender::kSumsFile}) {

@@ -4,6 +4,7 @@
 #pragma once
 #include <array>
 #include <filesystem>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -27,6 +28,13 @@ struct BlendPhotograph {
 /// Factors that bring photographs to the same brightness, from the surfels that they share: none, one each, or one a channel.
 enum class Gain { kNone, kGrey, kChannels };
 
+/// What a blend of the same photographs on other points has found of them, in the caller's order.
+struct Findings {
+  std::vector<std::array<double, 3>> gain;
+  std::vector<Alignment> alignment;
+  double scatter = 0;
+};
+
 struct BlendOptions {
   std::string layer = "albedo";
   std::string provenance_json = "{}";
@@ -38,6 +46,7 @@ struct BlendOptions {
   Gain gain = Gain::kGrey;
   bool align = true;               ///< photographs that lie beside what the others show are read where they show it
   std::filesystem::path keep;      ///< folder in which the sums stay for a later blend with photographs added or taken away, and from which this one begins; empty: none
+  std::optional<Findings> known;   ///< factors, places and scatter are not looked for but taken from here
   void validate() const;
 };
 

@@ -44,6 +44,10 @@ Scale scale_of(const std::vector<const BlendPhotograph*>& photographs, Reporter&
   return {footprint.median(), brightness.median()};
 }
 
+WindowOptions window_options(const BlendOptions& options, const Scale& scale) {
+  return {.low_radius = static_cast<float>(options.low_band_px) * scale.footprint, .reference_footprint = scale.footprint, .border_px = static_cast<float>(options.border_px)};
+}
+
 std::string photograph_key(const BlendPhotograph& p) {
   Hasher hash;
   const stream::Lens& lens = p.camera.lens;

@@ -142,6 +142,7 @@ void tiles(Page& page, const ReportData& d) {
   page.open("div", "class=\"tiles\"");
   tile(page, counted(d.count("points_in")), "points read");
   tile(page, counted(d.count("points_out")), "points exported");
+  if (const std::uint64_t n = d.count("points_inserted")) tile(page, counted(n), "points inserted between them");
   tile(page, percent(d.coverage()), concat("of the points were seen and have ", d.solved_lights ? "an albedo" : "a colour"));
   tile(page, counted(d.count("points_unseen")), "points no photograph saw well");
   tile(page, concat(d.photographs.size(), " of ", d.photographs.size() + d.photographs_left_out()), "photographs used");
