@@ -129,19 +129,35 @@ TEST(Insert, PointsOfACurvedSurfaceLieOnIt) {
   }
 }
 
-TEST(Insert, TheOtherFaceOfAnEdgeTakesNoPart) {
-  Cloud cloud;   // floor z = 0 and wall x = 0, meeting at right angles
-  for (int i = 0; i < 20; ++i)
-    for (int k = 0; k < 20; ++k) {
-      const double a = (i + 0.5) * static_cast<double>(cloud.spacing), b = (k + 0.5) * static_cast<double>(cloud.spacing);
-      cloud.positions.emplace_back(a, b, 0);
-      cloud.normals.push_back(Vec3f::UnitZ());
-      cloud.positions.emplace_back(0, b, a);
-      cloud.normals.push_back(Vec3f::UnitX());
-    }
+TEST(Insert, NoiseOfTheCloudIsAveraged) {
+  Cloud cloud = plane(Vec3d::UnitZ());
+  double cloud_square = 0, square = 0;
+  for (std::size_t i = 0; i < cloud.positions.size(); ++i) {
+    cloud.positions[i].z() = 0.2 * static_cast<double>(cloud.spacing) * (static_cast<double>(uniform01(4, Purpose::kTest, i, 0)) - 0.5);
+    cloud_square += cloud.positions[i].z() * cloud.positions[i].z();
+  }
   const auto points = cloud.refined(14);
-  ASSERT_GT(points.size(), cloud.positions.size());
-  for (const NewPoint& p : points) ASSERT_NEAR(std::min(std::abs(p.from_anchor.x()), std::abs(p.from_anchor.z())), 0, 1e-6) << p.from_anchor.transpose();
+  for (const NewPoint& p : points) square += p.from_anchor.z() * p.from_anchor.z();
+  // Some nine discs take part with unlike weights: a third of the deviation would be left with equal ones.
+  EXPECT_LT(std::sqrt(square / static_cast<double>(points.size())), 0.5 * std::sqrt(cloud_square / static_cast<double>(cloud.positions.size())));
+}
+
+TEST(Insert, TheOtherFaceOfAnEdgeTakesNoPart) {
+  for (const double angle : {1.05, 1.5708, 2.2}) {   // between the normals of floor and wall, which meet in the line x = z = 0
+    Cloud cloud;
+    const Vec3d wall(std::sin(angle), 0, std::cos(angle)), up(-std::cos(angle), 0, std::sin(angle));
+    for (int i = 0; i < 20; ++i)
+      for (int k = 0; k < 20; ++k) {
+        const double a = (i + 0.5) * static_cast<double>(cloud.spacing), b = (k + 0.5) * static_cast<double>(cloud.spacing);
+        cloud.positions.emplace_back(a, b, 0);
+        cloud.normals.push_back(Vec3f::UnitZ());
+        cloud.positions.emplace_back(a * up + b * Vec3d::UnitY());
+        cloud.normals.push_back(wall.cast<float>());
+      }
+    const auto points = cloud.refined(14);
+    ASSERT_GT(points.size(), cloud.positions.size()) << angle;
+    for (const NewPoint& p : points) ASSERT_NEAR(std::min(std::abs(p.from_anchor.z()), std::abs(wall.dot(p.from_anchor))), 0, 1e-6) << angle << ": " << p.from_anchor.transpose();
+  }
 }
 
 }  // namespace

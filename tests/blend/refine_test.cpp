@@ -162,6 +162,24 @@ TEST_F(Refine, FactorsAndPlacesAreTakenFromTheCloudsBlend) {
   EXPECT_NEAR(factor / seen, 2, 0.02);
 }
 
+TEST_F(Refine, APhotographIsReadWhereTheCloudsBlendHasFoundIt) {
+  const std::vector<BlendPhotograph> photos{photographs()[0]};
+  BlendOptions options;
+  options.known = Findings{{{1, 1, 1}}, {{Vec2f(5, -3), 1}}, 0.01};
+  const stream::Camera& camera = photos[0].camera;
+  find(photos);
+  double error = 0, seen = 0;
+  for (const Seen& s : blended(photos, options)) {
+    if (s.photos == 0 || (s.position - Vec3d(0.5, 0.5, 0)).cwiseAbs().maxCoeff() > 0.25) continue;
+    const Vec2d pixel = *stream::project(camera.lens, camera.pose.camera_from_world(s.position)) + Vec2d(5, -3);
+    const Vec3d eye = camera.pose.centre_in_world(), direction = camera.pose.rotation_camera_from_world.transpose() * *stream::unproject(camera.lens, pixel);
+    error += static_cast<double>(std::abs(s.albedo[0] - w.scene.albedo(eye - eye.z() / direction.z() * direction)[0]));
+    ++seen;
+  }
+  EXPECT_GT(seen, 2000);
+  EXPECT_LT(error / seen, 0.012);
+}
+
 TEST_F(Refine, WhatIsKnownHasToFitThePhotographs) {
   BlendOptions options;
   options.known = Findings{{{1, 1, 1}}, std::vector<Alignment>(1), 0.01};

@@ -134,6 +134,21 @@ TEST_F(RefinedRun, WithoutTheOptionTheyGoAndAnotherLayerHasItsOwn) {
   for (const auto& [name, bytes] : first) EXPECT_EQ(again.at(name), bytes) << name;
 }
 
+TEST_F(RefinedRun, WhatWasStoppedBetweenPointsAndTheirAlbedoIsNotTakenForWhole) {
+  sparse();
+  ASSERT_EQ(run_on("out").code, 0);
+  const auto whole = files_below(at("out/store.chiaro/inserted"));
+  const std::string exported = file_bytes(at("out/albedo.ply"));
+  fs::remove_all(at("out/store.chiaro/inserted/albedo.chiaro/layers"));
+  fs::remove(at("out/work/tasks/refine.json"));
+  EXPECT_EQ(result_of(chiaro({"info", at("out").string(), "--json"}))["layers"][0].count("inserted"), 0u);
+  const ProcessResult plain = chiaro({"export", at("out").string(), "--out", at("plain.ply").string(), "--json"});
+  EXPECT_EQ(result_of(plain)["points_inserted"], 0);
+  ASSERT_EQ(run_on("out").code, 0);
+  EXPECT_THAT(differences(whole, files_below(at("out/store.chiaro/inserted"))), testing::IsEmpty());
+  EXPECT_EQ(file_bytes(at("out/albedo.ply")), exported);
+}
+
 TEST_F(RefinedRun, TheBudgetIsKeptAndSaid) {
   sparse();
   ASSERT_EQ(run_on("out", {"--set", "blend.refine_points=700"}).code, 0);
