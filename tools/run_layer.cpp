@@ -33,7 +33,7 @@ class LayerStages {
   void blend(const stream::Store& store) {
     std::vector<blend::BlendPhotograph> photographs;
     blend::BlendOptions options;
-    Hasher h = keyed("blend 5");
+    Hasher h = keyed("blend 6");
     h.add(store.manifest().key);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {
@@ -41,7 +41,7 @@ class LayerStages {
         photographs.push_back({p.input->key, p.camera, run_.folder.gbuffer(p.input->key), run_.folder.albedo(p.input->key), run_.folder.radiance(p.input->key)});
         h.add(p.albedo_key).add(p.input->key);
       }
-    h.add(std::uint64_t{run_.project.blend.reject}).add(static_cast<std::uint64_t>(run_.project.blend.gain)).add(std::uint64_t{run_.project.blend.align});
+    h.add(std::uint64_t{run_.project.blend.reject}).add(static_cast<std::uint64_t>(run_.project.blend.gain)).add(std::uint64_t{run_.project.blend.align}).add(std::uint64_t{denoises()});
     run_.record.count("photographs_used", photographs.size());
     layer_key_ = h.hex();
     const std::string layer = run_.project.blend.layer;
@@ -49,6 +49,7 @@ class LayerStages {
     options.layer = layer;
     options.reject = run_.project.blend.reject;
     options.align = run_.project.blend.align;
+    options.denoise = denoises();
     options.gain = blend_gain(run_.project.blend.gain);
     const Json info = run_.task(RunFolder::blend_task(layer), layer_key_, {run_.folder.store() / "layers" / layer}, [&] {
       if (run_.project.blend.keep) options.keep = run_.folder.kept(layer);
@@ -102,6 +103,9 @@ class LayerStages {
   }
 
  private:
+  /// The other methods are there to be compared with, as they are; their sigma is no measure of what is noise.
+  bool denoises() const { return run_.project.blend.denoise && (run_.project.method == SolveMethod::kJoint || run_.project.method == SolveMethod::kSingle); }
+
   /// A layer that was made without its sums is made again with them, where they are wanted; where they are not, they go.
   void prepare_kept(const std::string& layer) const {
     std::error_code code;
