@@ -353,6 +353,7 @@ class Blender {
     for (std::size_t i = 0; i < leaves.size(); ++i) stats.leaves += sums_->is_written(i);
     stats.leaves_kept = leaves_kept_;
     stats.scratch_bytes = scratch_bytes_;
+    stats.window = window_;
     writer.finish_inner(report_);
     writer.commit();
     return stats;

@@ -55,6 +55,7 @@ struct BlendStats {
   std::uint64_t leaves = 0, leaves_kept = 0;  ///< with readings; of these, taken over from the kept blend as they were
   std::uint64_t photographs_read = 0;         ///< whose pixels were needed
   std::uint64_t scratch_bytes = 0;            ///< most that the state takes on the disk
+  WindowOptions window;                       ///< what weights and bands were measured against
   std::vector<PhotographStats> photographs;   ///< in the caller's order
 };
 

@@ -44,6 +44,7 @@ std::string blend_record_json(const blend::BlendStats& stats, std::span<const bl
   }
   const Json record{{"points", stats.points}, {"points_seen", stats.points_seen}, {"points_disputed", stats.points_disputed}, {"samples", stats.samples},
                     {"scatter", stats.scatter}, {"leaves", stats.leaves}, {"leaves_kept", stats.leaves_kept}, {"photographs_read", stats.photographs_read}, {"scratch_bytes", stats.scratch_bytes},
+                    {"weights", {{"footprint", stats.window.reference_footprint}, {"low_radius", stats.window.low_radius}, {"border_px", stats.window.border_px}}},
                     {"photographs", each}, {"notes", notes}};
   return record.dump();
 }
