@@ -13,10 +13,13 @@ using Json = nlohmann::ordered_json;
 Json json_of(const blend::PhotographStats& p, const std::string& name) {
   Json j{{"photograph", name}, {"samples", p.samples}, {"rejected", p.rejected}, {"gain", p.gain}, {"shift_px", nullptr}, {"disturbed", nullptr}};
   const blend::Inspection& i = p.inspection;
+  if (i.correlation > 0) {
+    j["shift_correlation"] = i.correlation;
+    j["shift_sd_px"] = i.shift_sd_px;
+  }
   if (i.shift_px) {
     j["shift_px"] = {i.shift_px->x(), i.shift_px->y()};
     j["shift_spread_px"] = i.shift_spread_px;
-    j["shift_correlation"] = i.correlation;
     j["shift_corrected_px"] = {p.alignment.shift_px.x(), p.alignment.shift_px.y()};
     j["trust"] = p.alignment.trust;
   }
