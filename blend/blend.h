@@ -4,12 +4,14 @@
 #pragma once
 #include <array>
 #include <filesystem>
+#include <functional>
 #include <span>
 #include <string>
 #include <vector>
 
 #include "blend/inspect.h"
 #include "stream/base/budget.h"
+#include "stream/base/file.h"
 #include "stream/base/report.h"
 #include "stream/photo/camera.h"
 #include "stream/store/store.h"
@@ -38,6 +40,7 @@ struct BlendOptions {
   Gain gain = Gain::kGrey;
   bool align = true;               ///< photographs that lie beside what the others show are read where they show it
   std::filesystem::path keep;      ///< folder in which the sums stay for a later blend with photographs added or taken away, and from which this one begins; empty: none
+  std::function<std::uint64_t(const std::filesystem::path&)> free_bytes = free_disk_bytes;   ///< of the disk that holds a folder
   void validate() const;
 };
 

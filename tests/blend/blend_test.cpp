@@ -286,6 +286,30 @@ TEST(Blend, SigmaThatIsZeroOrNotANumberDoesNoHarm) {
   }
 }
 
+TEST(Blend, ADiskWithoutRoomForItsStateIsRefusedBeforeAnythingIsWritten) {
+  const Workplace w(plane_scene());
+  const std::vector<BlendPhotograph> photos{w.photograph("a", Vec3d(0.4, 0.5, 0.7), Vec3d(0.5, 0.5, 0)), w.photograph("b", Vec3d(0.6, 0.5, 0.7), Vec3d(0.5, 0.5, 0))};
+  const std::uint64_t needed = w.run(photos).scratch_bytes;   // and the layer besides
+  std::filesystem::remove_all(w.folder.path() / "scratch");
+  BlendOptions options;
+  options.layer = "other";
+  options.free_bytes = [&](const std::filesystem::path& folder) {
+    EXPECT_EQ(folder, w.folder.path() / "scratch");
+    return needed;
+  };
+  MemoryBudget budget(kPlenty);
+  try {
+    blend(*w.store, photos, options, w.folder.path() / "scratch", budget, silent_reporter());
+    FAIL() << "no error";
+  } catch (const Error& e) {
+    for (const char* words : {"scratch: no space: blending needs ", "the disk has "}) EXPECT_NE(std::string(e.what()).find(words), std::string::npos) << e.what();
+  }
+  EXPECT_TRUE(std::filesystem::is_empty(w.folder.path() / "scratch"));
+  EXPECT_FALSE(std::filesystem::exists(w.folder.path() / "store.chiaro/layers/other"));
+  options.free_bytes = [&](const std::filesystem::path&) { return 2 * needed; };
+  EXPECT_GT(w.run(photos, options).points_seen, 0u);
+}
+
 TEST(Blend, RastersOfAnotherSizeOrWithoutAPlaneAreNamed) {
   const Workplace w(plane_scene());
   auto a = w.photograph("a", Vec3d(0.5, 0.5, 0.6), Vec3d(0.5, 0.5, 0));
