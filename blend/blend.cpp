@@ -11,6 +11,7 @@
 #include "blend/accumulate.h"
 #include "blend/agreement.h"
 #include "blend/ballot.h"
+#include "blend/denoise_leaf.h"
 #include "blend/identity.h"
 #include "blend/kept.h"
 #include "blend/leaf_file.h"
@@ -329,7 +330,17 @@ class Blender {
     BlendStats stats;
     stream::LayerWriter writer(store_, options_.layer, stream::albedo_fields(), options_.provenance_json);
     std::vector<LeafStats> leaves(store_.leaves().size());
-    walk_.for_leaves(leaves.size(), sizeof(Accumulator), [&](std::size_t i) { leaves[i] = write_leaf(writer, store_.leaves()[i], sums_->read<Accumulator>(i), static_cast<float>(options_.shared_sigma)); });
+    const auto blended = [&](std::size_t i) { return resolve_leaf(sums_->read<Accumulator>(i), static_cast<float>(options_.shared_sigma)); };
+    const LeafDenoiser denoiser(store_, scale_.brightness, blended);
+    const bool denoises = options_.denoise && scale_.brightness > 0;
+    report_.begin(denoises ? "blend: denoise and write" : "blend: write", leaves.size(), "chunks");
+    std::atomic<std::uint64_t> done{0};
+    walk_.for_leaves(leaves.size(), denoises ? LeafDenoiser::bytes_per_surfel() : sizeof(Accumulator), [&](std::size_t i) {
+      const auto record = sums_->read<Accumulator>(i);
+      leaves[i] = write_leaf(writer, store_.leaves()[i], record, denoises && sums_->is_written(i) ? denoiser.denoised(i) : blended(i));
+      report_.progress(++done);
+    });
+    report_.end();
     stats.photographs.resize(photographs_.size());
     for (std::size_t leaf = 0; leaf < leaves.size(); ++leaf) {
       stats.points += leaves[leaf].points;

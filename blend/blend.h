@@ -39,6 +39,7 @@ struct BlendOptions {
   bool reject = true;              ///< readings that a majority of the photographs contradicts are left out
   Gain gain = Gain::kGrey;
   bool align = true;               ///< photographs that lie beside what the others show are read where they show it
+  bool denoise = false;            ///< what a surfel's own sigma leaves open is taken from its neighbours (blend/denoise.h)
   std::filesystem::path keep;      ///< folder in which the sums stay for a later blend with photographs added or taken away, and from which this one begins; empty: none
   std::function<std::uint64_t(const std::filesystem::path&)> free_bytes = free_disk_bytes;   ///< of the disk that holds a folder
   void validate() const;

@@ -39,7 +39,7 @@ class LayerStages {
         photographs.push_back({p.input->key, p.camera, run_.folder.gbuffer(p.input->key), run_.folder.albedo(p.input->key), run_.folder.radiance(p.input->key)});
         h.add(p.albedo_key).add(p.input->key);
       }
-    h.add(std::uint64_t{run_.project.blend.reject}).add(static_cast<std::uint64_t>(run_.project.blend.gain)).add(std::uint64_t{run_.project.blend.align});
+    h.add(std::uint64_t{run_.project.blend.reject}).add(static_cast<std::uint64_t>(run_.project.blend.gain)).add(std::uint64_t{run_.project.blend.align}).add(std::uint64_t{denoises()});
     run_.record.count("photographs_used", photographs.size());
     layer_key_ = h.hex();
     const std::string layer = run_.project.blend.layer;
@@ -50,6 +50,7 @@ class LayerStages {
       if (run_.project.blend.keep) options.keep = run_.folder.kept(layer);
       options.reject = run_.project.blend.reject;
       options.align = run_.project.blend.align;
+      options.denoise = denoises();
       options.gain = blend_gain(run_.project.blend.gain);
       options.provenance_json = Json{{"method", name_of(run_.project.method)}, {"key", layer_key_}, {"photographs", photographs.size()}, {"acquisitions", acquisitions()}}.dump();
       make_folder(run_.folder.scratch());
@@ -98,6 +99,9 @@ class LayerStages {
   }
 
  private:
+  /// The other methods are there to be compared with, as they are; their sigma is no measure of what is noise.
+  bool denoises() const { return run_.project.blend.denoise && (run_.project.method == SolveMethod::kJoint || run_.project.method == SolveMethod::kSingle); }
+
   /// A layer that was made without its sums is made again with them, where they are wanted; where they are not, they go.
   void prepare_kept(const std::string& layer) const {
     std::error_code code;
