@@ -108,7 +108,7 @@ class Blender {
       if (in_view_[i]) scratch_bytes_ += LeafFile::disk_bytes(sums, i) + (has_votes() ? LeafFile::disk_bytes(ballots, i) : 0);
     std::uint64_t layer_bytes = 0;
     for (const stream::ChunkEntry& c : store_.chunks()) layer_bytes += std::uint64_t{c.count} * kLayerBytes;
-    const std::uint64_t there = allocated_bytes(scratch_ / kVotesFile) + allocated_bytes(scratch_ / kSumsFile), free = free_disk_bytes(scratch_) + there;
+    const std::uint64_t there = allocated_bytes(scratch_ / kVotesFile) + allocated_bytes(scratch_ / kSumsFile), free = options_.free_bytes(scratch_) + there;
     if (free < scratch_bytes_ + layer_bytes)
       throw Error(concat(scratch_.string(), ": no space: blending needs ", format_bytes(scratch_bytes_ + layer_bytes), ", the disk has ", format_bytes(free), " free"));
   }
@@ -382,6 +382,7 @@ class Blender {
     for (std::size_t i = 0; i < leaves.size(); ++i) stats.leaves += sums_->is_written(i);
     stats.leaves_kept = leaves_kept_;
     stats.scratch_bytes = scratch_bytes_;
+    stats.window = window_;
     writer.finish_inner(report_);
     writer.commit();
     return stats;
