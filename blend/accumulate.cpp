@@ -40,13 +40,14 @@ float deviation_by_scatter(const Accumulator& sum) {
 
 BlendedSurfel resolve(const Accumulator& sum, float shared_sigma) {
   constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
-  BlendedSurfel result{Vec3f::Constant(kNaN), kNaN, 0};
+  BlendedSurfel result{Vec3f::Constant(kNaN), kNaN, kNaN, 0};
   if (sum.photographs == 0 || !(sum.low_weight > 0)) return result;
   for (int c = 0; c < 3; ++c) result.albedo[c] = sum.low[c] / sum.low_weight + static_cast<float>(sum.high_weight > 0 ? sum.high[c] / sum.high_weight : 0);
   // Slow errors average with the low band's weights, pixel noise with the high band's; the larger one speaks.
   const float low = std::sqrt(sum.low_variance) / sum.low_weight;
   const auto high = static_cast<float>(sum.high_weight > 0 ? std::sqrt(sum.high_variance) / sum.high_weight : 0);
   const float independent = std::max({low, high, deviation_by_scatter(sum)}), shared = sum.shared / sum.low_weight;   // shared errors add by amplitude: they do not average out
+  result.own_sigma = low > 0 || high > 0 ? independent : 0;
   result.sigma = std::sqrt(independent * independent + shared * shared + shared_sigma * shared_sigma);
   result.photographs = static_cast<std::uint16_t>(std::min<std::uint32_t>(sum.photographs, 65535));
   return result;

@@ -24,7 +24,8 @@ void add_sample(Accumulator& sum, const Sample& sample, float high_band_power);
 
 struct BlendedSurfel {
   Vec3f albedo;            ///< NaN: unseen
-  float sigma = 0;         ///< NaN: unseen
+  float sigma = 0;         ///< relative; NaN: unseen
+  float own_sigma = 0;     ///< of it what photographs do not share; 0 where all readings are exact by their own word; NaN: unseen
   std::uint16_t photographs = 0;
 };
 /// sigma: the larger one of what the readings' own deviations say and what their scatter says; readings that contradict each other show in it.

@@ -11,6 +11,7 @@
 #include "blend/accumulate.h"
 #include "blend/agreement.h"
 #include "blend/ballot.h"
+#include "blend/denoise_leaf.h"
 #include "blend/identity.h"
 #include "blend/kept.h"
 #include "blend/leaf_file.h"
@@ -33,7 +34,7 @@ class Blender {
           MemoryBudget& budget, Reporter& report)
       : store_(store), options_(options), scratch_(scratch), budget_(budget), report_(report), photographs_(in_order_of_names(photographs)),
         scale_(scale_of(photographs_, report)),
-        window_{.low_radius = static_cast<float>(options.low_band_px) * scale_.footprint, .reference_footprint = scale_.footprint, .border_px = static_cast<float>(options.border_px)},
+        window_(window_options(options, scale_)),
         walk_(store, photographs_, window_, budget, report), was_read_(photographs_.size()) {
     Hasher hash;
     hash.add(options_key(store, options));
@@ -42,6 +43,7 @@ class Blender {
       photograph_keys_.push_back(photograph_key(*p));
       hash.add(photograph_keys_.back());
     }
+    if (options.known) add_known(hash);
     key_ = hash.hex();
   }
 
@@ -72,6 +74,15 @@ class Blender {
     return s;
   }
 
+  void add_known(Hasher& hash) const {
+    hash.add(options_.known->scatter);
+    for (const std::size_t i : callers_index_) {
+      const Alignment& a = options_.known->alignment[i];
+      for (const double gain : options_.known->gain[i]) hash.add(gain);
+      for (const float v : {a.shift_px.x(), a.shift_px.y(), a.trust}) hash.add(static_cast<double>(v));
+    }
+  }
+
   std::vector<Sample> samples_of(const PhotoWalk::Visit& v, std::uint32_t photograph, const Vec2f& shift_px) const {
     return sample_chunk(store_.read_chunk(store_.leaves()[v.leaf]), photographs_[photograph]->camera, shift_px, *v.window, v.y0, v.y1);
   }
@@ -97,7 +108,7 @@ class Blender {
       if (in_view_[i]) scratch_bytes_ += LeafFile::disk_bytes(sums, i) + (has_votes() ? LeafFile::disk_bytes(ballots, i) : 0);
     std::uint64_t layer_bytes = 0;
     for (const stream::ChunkEntry& c : store_.chunks()) layer_bytes += std::uint64_t{c.count} * kLayerBytes;
-    const std::uint64_t there = allocated_bytes(scratch_ / kVotesFile) + allocated_bytes(scratch_ / kSumsFile), free = free_disk_bytes(scratch_) + there;
+    const std::uint64_t there = allocated_bytes(scratch_ / kVotesFile) + allocated_bytes(scratch_ / kSumsFile), free = options_.free_bytes(scratch_) + there;
     if (free < scratch_bytes_ + layer_bytes)
       throw Error(concat(scratch_.string(), ": no space: blending needs ", format_bytes(scratch_bytes_ + layer_bytes), ", the disk has ", format_bytes(free), " free"));
   }
@@ -206,7 +217,13 @@ class Blender {
   /// From every n-th surfel, so that memory does not grow with the model.
   void compare_photographs() {
     agreement_.log_gain.assign(num_photographs(), Vec3f::Zero());
-    if (!votes_) return;
+    if (options_.known) {
+      for (std::uint32_t k = 0; k < num_photographs(); ++k)
+        for (int c = 0; c < 3; ++c) agreement_.log_gain[k][c] = static_cast<float>(std::log(options_.known->gain[callers_index_[k]][static_cast<std::size_t>(c)]));
+      agreement_.scatter = static_cast<float>(options_.known->scatter);
+      tolerance_ = tolerance_for(agreement_.scatter);
+    }
+    if (!votes_ || options_.known) return;
     constexpr std::uint64_t kMostSurfels = 1 << 15;
     std::uint64_t total = 0, index = 0;
     for (const std::uint32_t leaf : store_.leaves()) total += store_.chunks()[leaf].count;
@@ -229,7 +246,9 @@ class Blender {
   void inspect_photographs() {
     inspections_.resize(num_photographs());
     alignments_.resize(num_photographs());
-    if (!votes_ || num_photographs() < 3) return;
+    if (options_.known)
+      for (std::uint32_t k = 0; k < num_photographs(); ++k) alignments_[k] = options_.known->alignment[callers_index_[k]];
+    if (!votes_ || options_.known || num_photographs() < 3) return;
     report_.begin("blend: inspect photographs", num_photographs(), "photographs");
     for (std::uint32_t k = 0; k < num_photographs(); ++k) {
       report_.progress(k);
@@ -329,7 +348,17 @@ class Blender {
     BlendStats stats;
     stream::LayerWriter writer(store_, options_.layer, stream::albedo_fields(), options_.provenance_json);
     std::vector<LeafStats> leaves(store_.leaves().size());
-    walk_.for_leaves(leaves.size(), sizeof(Accumulator), [&](std::size_t i) { leaves[i] = write_leaf(writer, store_.leaves()[i], sums_->read<Accumulator>(i), static_cast<float>(options_.shared_sigma)); });
+    const auto blended = [&](std::size_t i) { return resolve_leaf(sums_->read<Accumulator>(i), static_cast<float>(options_.shared_sigma)); };
+    const LeafDenoiser denoiser(store_, scale_.brightness, blended);
+    const bool denoises = options_.denoise && scale_.brightness > 0;
+    report_.begin(denoises ? "blend: denoise and write" : "blend: write", leaves.size(), "chunks");
+    std::atomic<std::uint64_t> done{0};
+    walk_.for_leaves(leaves.size(), denoises ? LeafDenoiser::bytes_per_surfel() : sizeof(Accumulator), [&](std::size_t i) {
+      const auto record = sums_->read<Accumulator>(i);
+      leaves[i] = write_leaf(writer, store_.leaves()[i], record, denoises && sums_->is_written(i) ? denoiser.denoised(i) : blended(i));
+      report_.progress(++done);
+    });
+    report_.end();
     stats.photographs.resize(photographs_.size());
     for (std::size_t leaf = 0; leaf < leaves.size(); ++leaf) {
       stats.points += leaves[leaf].points;
@@ -353,6 +382,7 @@ class Blender {
     for (std::size_t i = 0; i < leaves.size(); ++i) stats.leaves += sums_->is_written(i);
     stats.leaves_kept = leaves_kept_;
     stats.scratch_bytes = scratch_bytes_;
+    stats.window = window_;
     writer.finish_inner(report_);
     writer.commit();
     return stats;
@@ -392,11 +422,14 @@ void BlendOptions::validate() const {
   if (!(border_px >= 1 && border_px <= 64)) throw std::invalid_argument("BlendOptions: border_px must be in 1 .. 64");
   if (!(high_band_power >= 1 && high_band_power <= 8)) throw std::invalid_argument("BlendOptions: high_band_power must be in 1 .. 8");
   if (!(shared_sigma >= 0)) throw std::invalid_argument("BlendOptions: shared_sigma must not be negative");
+  if (known && !keep.empty()) throw std::invalid_argument("BlendOptions: a blend of what is known beforehand is not kept");
 }
 
 BlendStats blend(const stream::Store& store, std::span<const BlendPhotograph> photographs, const BlendOptions& options,
                  const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report) {
   options.validate();
+  if (options.known && (options.known->gain.size() != photographs.size() || options.known->alignment.size() != photographs.size()))
+    throw std::invalid_argument("blend: what is known is of other photographs");
   make_folder(scratch);
   const BlendStats stats = Blender(store, photographs, options, scratch, budget, report).run();
   for (const char* file : {Blender::kVotesFile, Blender::kSumsFile}) {

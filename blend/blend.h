@@ -4,12 +4,15 @@
 #pragma once
 #include <array>
 #include <filesystem>
+#include <functional>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
 #include "blend/inspect.h"
 #include "stream/base/budget.h"
+#include "stream/base/file.h"
 #include "stream/base/report.h"
 #include "stream/photo/camera.h"
 #include "stream/store/store.h"
@@ -27,6 +30,13 @@ struct BlendPhotograph {
 /// Factors that bring photographs to the same brightness, from the surfels that they share: none, one each, or one a channel.
 enum class Gain { kNone, kGrey, kChannels };
 
+/// What a blend of the same photographs on other points has found of them, in the caller's order.
+struct Findings {
+  std::vector<std::array<double, 3>> gain;
+  std::vector<Alignment> alignment;
+  double scatter = 0;
+};
+
 struct BlendOptions {
   std::string layer = "albedo";
   std::string provenance_json = "{}";
@@ -37,7 +47,10 @@ struct BlendOptions {
   bool reject = true;              ///< readings that a majority of the photographs contradicts are left out
   Gain gain = Gain::kGrey;
   bool align = true;               ///< photographs that lie beside what the others show are read where they show it
+  bool denoise = false;            ///< what a surfel's own sigma leaves open is taken from its neighbours (blend/denoise.h)
   std::filesystem::path keep;      ///< folder in which the sums stay for a later blend with photographs added or taken away, and from which this one begins; empty: none
+  std::optional<Findings> known;   ///< factors, places and scatter are not looked for but taken from here
+  std::function<std::uint64_t(const std::filesystem::path&)> free_bytes = free_disk_bytes;   ///< of the disk that holds a folder
   void validate() const;
 };
 
@@ -55,6 +68,7 @@ struct BlendStats {
   std::uint64_t leaves = 0, leaves_kept = 0;  ///< with readings; of these, taken over from the kept blend as they were
   std::uint64_t photographs_read = 0;         ///< whose pixels were needed
   std::uint64_t scratch_bytes = 0;            ///< most that the state takes on the disk
+  WindowOptions window;                       ///< what weights and bands were measured against
   std::vector<PhotographStats> photographs;   ///< in the caller's order
 };
 

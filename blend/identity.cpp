@@ -44,6 +44,10 @@ Scale scale_of(const std::vector<const BlendPhotograph*>& photographs, Reporter&
   return {footprint.median(), brightness.median()};
 }
 
+WindowOptions window_options(const BlendOptions& options, const Scale& scale) {
+  return {.low_radius = static_cast<float>(options.low_band_px) * scale.footprint, .reference_footprint = scale.footprint, .border_px = static_cast<float>(options.border_px)};
+}
+
 std::string photograph_key(const BlendPhotograph& p) {
   Hasher hash;
   const stream::Lens& lens = p.camera.lens;
@@ -61,7 +65,7 @@ std::string photograph_key(const BlendPhotograph& p) {
 
 std::string options_key(const stream::Store& store, const BlendOptions& options) {
   Hasher hash;
-  hash.add("blend accumulators 6").add(store.manifest().key).add(std::uint64_t{store.chunks().size()});
+  hash.add("blend accumulators 7").add(store.manifest().key).add(std::uint64_t{store.chunks().size()});
   hash.add(options.low_band_px).add(options.border_px).add(options.high_band_power);
   hash.add(std::uint64_t{options.reject}).add(static_cast<std::uint64_t>(options.gain)).add(std::uint64_t{options.align});
   return hash.hex();

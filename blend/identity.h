@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "blend/blend.h"
+#include "blend/photo_window.h"
 
 namespace chiaro::blend {
 
@@ -16,6 +17,8 @@ struct Scale {
   float footprint = 0, brightness = 0;
 };
 Scale scale_of(const std::vector<const BlendPhotograph*>& photographs, Reporter& report);
+
+WindowOptions window_options(const BlendOptions& options, const Scale& scale);
 
 /// Name, camera and content of the rasters: 32 hexadecimal digits.
 std::string photograph_key(const BlendPhotograph& photograph);

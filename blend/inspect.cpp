@@ -8,6 +8,8 @@ namespace chiaro::blend {
 namespace {
 
 constexpr double kDetailSteps = 8192;   // as a vote's detail
+/// Photographs of rendered scenes with exact cameras come out at 0.1 px or less, near ones with relief in flash light at 0.4.
+constexpr float kLeastShiftPx = 0.5f;
 
 std::int64_t quantised(float detail) { return std::lround(std::clamp(static_cast<double>(detail) * kDetailSteps, -32767.0, 32767.0)); }
 
@@ -54,33 +56,64 @@ double correlation_at(const ShiftCounts& s, std::size_t i) {
 struct Shift {
   Vec2f px = Vec2f::Zero();
   float correlation = 0;
+  float sd_px = 0, width_px = 0;   ///< standard deviation, and width of the peak, in the less certain direction
 };
-/// The offset of the best correlation, by a parabola through it and its neighbours.
-std::optional<Shift> best_shift(const ShiftCounts& s) {
+
+/// What a parabola through three correlations says: where its vertex lies beside the middle one, and how sharp it is.
+struct Vertex {
+  double offset = 0, bend = 0;   ///< bend: minus the second derivative
+};
+Vertex vertex_of(double before, double here, double after) {
+  const double bend = 2 * here - before - after;
+  return {bend > 0 ? std::clamp(0.5 * (after - before) / bend, -0.5, 0.5) : 0, bend};
+}
+
+/// Standard deviation of a correlation's peak. What the two do not have in common pulls the peak aside, the farther the flatter it is: with a correlation c of
+/// `independent` pieces of detail and residuals as fine as the detail, sd^2 = (1 - c^2) / (independent c bend). On smoothly painted surfaces the bend is that
+/// of errors of light and of means that end at borders: peaks lay up to 3 px beside on undisturbed photographs of a sphere.
+double sd_of_peak(double correlation, double bend, double independent) {
+  if (!(bend > 0 && correlation > 0 && independent > 0)) return kOffsets;
+  return std::sqrt(std::max(0.0, 1 - correlation * correlation) / (independent * correlation * bend));
+}
+
+/// The offset of the best correlation, by a parabola through it and its neighbours; nullopt where too little is in common to tell where it lies.
+/// independent: how many of the readings count, as errors and detail of neighbours are alike.
+std::optional<Shift> best_shift(const ShiftCounts& s, double independent) {
   constexpr std::int64_t kLeastReadings = 200;
   constexpr double kLeastCorrelation = 0.3;
   if (s.n < kLeastReadings) return std::nullopt;
   std::array<double, kOffsets * kOffsets> c;
   for (std::size_t i = 0; i < c.size(); ++i) c[i] = correlation_at(s, i);
-  const auto best = static_cast<int>(std::max_element(c.begin(), c.end()) - c.begin());
-  if (!(c[static_cast<std::size_t>(best)] >= kLeastCorrelation)) return std::nullopt;
-  const auto vertex = [&](int at, int stride) {
-    const double before = c[static_cast<std::size_t>(best - stride)], here = c[static_cast<std::size_t>(best)], after = c[static_cast<std::size_t>(best + stride)];
-    const double bend = before - 2 * here + after;
-    return static_cast<float>(at) + static_cast<float>(bend < 0 ? std::clamp(0.5 * (before - after) / bend, -0.5, 0.5) : 0);
-  };
-  const int u = best % kOffsets - kSearchPx, v = best / kOffsets - kSearchPx;
-  if (std::abs(u) == kSearchPx || std::abs(v) == kSearchPx) return Shift{Vec2f(static_cast<float>(u), static_cast<float>(v)), static_cast<float>(c[static_cast<std::size_t>(best)])};
-  return Shift{Vec2f(vertex(u, 1), vertex(v, kOffsets)), static_cast<float>(c[static_cast<std::size_t>(best)])};
+  const auto best = static_cast<std::size_t>(std::max_element(c.begin(), c.end()) - c.begin());
+  if (!(c[best] >= kLeastCorrelation)) return std::nullopt;
+  const int u = static_cast<int>(best) % kOffsets - kSearchPx, v = static_cast<int>(best) / kOffsets - kSearchPx;
+  // At the border of what is searched the sharpness is that of the places beside it.
+  const auto inner = [](int at) { return static_cast<std::size_t>(std::clamp(at, 1 - kSearchPx, kSearchPx - 1) + kSearchPx); };
+  const std::size_t middle = inner(v) * kOffsets + inner(u);
+  const Vertex x = vertex_of(c[middle - 1], c[middle], c[middle + 1]), y = vertex_of(c[middle - kOffsets], c[middle], c[middle + kOffsets]);
+  const double bend = std::min(x.bend, y.bend);
+  Shift result{Vec2f(static_cast<float>(u), static_cast<float>(v)), static_cast<float>(c[best]), static_cast<float>(sd_of_peak(c[best], bend, std::min(independent, static_cast<double>(s.n)))),
+               static_cast<float>(bend > 0 ? std::sqrt(c[best] / bend) : kOffsets)};
+  if (middle == best) result.px += Vec2d(x.offset, y.offset).cast<float>();
+  return result;
 }
 
-float spread_of_parts(const InspectionCounts& counts, const Vec2f& whole) {
+float spread_of_parts(const InspectionCounts& counts, const Vec2f& whole, double independent) {
   std::vector<float> distances;
   for (const ShiftCounts& part : counts.parts)
-    if (const auto shift = best_shift(part)) distances.push_back((shift->px - whole).norm());
+    if (const auto shift = best_shift(part, independent / static_cast<double>(counts.parts.size()))) distances.push_back((shift->px - whole).norm());
   if (distances.empty()) return 0;
   std::nth_element(distances.begin(), distances.begin() + static_cast<std::ptrdiff_t>(distances.size() / 2), distances.end());
   return distances[distances.size() / 2];
+}
+
+/// A shift is known where one that matters could not have come by chance; or where it is too large for chance and the peak lies within what is searched: one that
+/// is wider than that is no place. Flash light on errors of normals is smooth relief that moves with the light: 2.4 px, eight deviations, on an undisturbed
+/// noisy sphere, with peaks of 4 px and more; a photograph of a tower that was moved by 2 px has 3 px.
+bool is_known(const Shift& shift) {
+  constexpr float kDeviations = 3;
+  if (kDeviations * shift.sd_px <= kLeastShiftPx) return true;
+  return kDeviations * shift.sd_px <= shift.px.norm() && shift.width_px <= kSearchPx;
 }
 
 /// Cells that share a side, in which most readings are outvoted; the group with most of them.
@@ -184,18 +217,21 @@ Inspection conclude(const InspectionCounts& counts) {
   ShiftCounts whole;
   for (const ShiftCounts& part : counts.parts) whole.merge(part);
   result.shift_readings = static_cast<std::uint64_t>(whole.n);
-  if (const auto shift = best_shift(whole)) {
-    result.shift_px = shift->px;
+  // Detail is as fine as a cell, or finer, and errors hardly reach beyond one.
+  const auto independent = static_cast<double>(std::count_if(counts.judged.begin(), counts.judged.end(), [](std::uint32_t n) { return n > 0; }));
+  if (const auto shift = best_shift(whole, independent)) {
     result.correlation = shift->correlation;
-    result.shift_spread_px = spread_of_parts(counts, shift->px);
+    result.shift_sd_px = shift->sd_px;
+    if (is_known(*shift)) {
+      result.shift_px = shift->px;
+      result.shift_spread_px = spread_of_parts(counts, shift->px, independent);
+    }
   }
   result.disturbed = largest_disturbed(counts);
   return result;
 }
 
 Alignment alignment_for(const Inspection& inspection) {
-  // Photographs of rendered scenes with exact cameras come out at 0.1 px or less, near ones with relief in flash light at 0.4.
-  constexpr float kLeastShiftPx = 0.5f;
   Alignment result;
   if (!inspection.shift_px) return result;
   const float length = inspection.shift_px->norm();

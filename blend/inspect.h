@@ -39,7 +39,8 @@ void inspect_reading(const Ballot& ballot, const Majority& majority, std::uint16
                      InspectionCounts& counts);
 
 struct Inspection {
-  std::optional<Vec2f> shift_px;   ///< the photograph shows things that much to the right of and below where its camera puts them; nullopt: too little detail in common
+  std::optional<Vec2f> shift_px;   ///< the photograph shows things that much to the right of and below where its camera puts them; nullopt: the detail in common does not tell
+  float shift_sd_px = 0;           ///< standard deviation of that, by how sharp the correlation's peak is
   float shift_spread_px = 0;       ///< how far parts of the image are from that: a rotation or a wrong lens
   float correlation = 0;           ///< of its detail with the others', at the best offset
   std::uint64_t shift_readings = 0;

@@ -27,7 +27,8 @@ struct PhotographRecord {
   float log_gain[3];
   float found_shift[2], spread, correlation, shift[2], trust;
   std::int32_t region[4];
-  std::uint32_t has_shift, has_region, reserved;
+  std::uint32_t has_shift, has_region;
+  float sd;
   std::uint64_t readings, outvoted, judged;
 };
 static_assert(std::is_trivially_copyable_v<PhotographRecord>);
@@ -43,6 +44,7 @@ PhotographRecord record_of(const PhotographState& p) {
   r.has_shift = i.shift_px.has_value();
   if (i.shift_px) r.found_shift[0] = i.shift_px->x(), r.found_shift[1] = i.shift_px->y();
   r.spread = i.shift_spread_px;
+  r.sd = i.shift_sd_px;
   r.correlation = i.correlation;
   r.readings = i.shift_readings;
   r.has_region = i.disturbed.has_value();
@@ -62,6 +64,7 @@ PhotographState state_of(const PhotographRecord& r) {
   p.log_gain = {r.log_gain[0], r.log_gain[1], r.log_gain[2]};
   if (r.has_shift) p.inspection.shift_px = Vec2f(r.found_shift[0], r.found_shift[1]);
   p.inspection.shift_spread_px = r.spread;
+  p.inspection.shift_sd_px = r.sd;
   p.inspection.correlation = r.correlation;
   p.inspection.shift_readings = r.readings;
   if (r.has_region) p.inspection.disturbed = Inspection::Region{r.region[0], r.region[1], r.region[2], r.region[3], r.outvoted, r.judged};

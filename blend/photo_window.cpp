@@ -60,6 +60,15 @@ void read_mask(const PhotographRasters& rasters, Preparation& p) {
   }
 }
 
+/// Empty without a flash.
+std::vector<float> spread_of(const stream::RasterReader& gbuffer, int y0, int rows) {
+  return gbuffer.has("spread") ? gbuffer.rows<float>("spread", y0, rows) : std::vector<float>();
+}
+
+PixelEvidence own_evidence(const WindowPixel& pixel, float spread, float coverage) {
+  return {.footprint = pixel.footprint, .sigma = std::hypot(pixel.sigma, pixel.shared), .spread = spread, .coverage = coverage};
+}
+
 /// Albedo, quality (kept in `weight` until the bands are split) and place on the surface of the pixels that may be used.
 void read_values(const PhotographRasters& rasters, Preparation& p, const stream::Lens& lens, const WindowOptions& options) {
   const stream::RasterReader& a = rasters.albedo();
@@ -70,13 +79,12 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
   if (a.has("shared")) for_plane(a, "shared", p, [&](std::size_t i, float v) { p.pixels[i].shared = std::isfinite(v) ? std::max(v, 0.0f) : 0.0f; });
   const stream::RasterReader& g = rasters.gbuffer();
   const auto coverage = g.rows<float>("coverage", p.y0, p.rows);
-  const auto spread = g.has("spread") ? g.rows<float>("spread", p.y0, p.rows) : std::vector<float>();
+  const auto spread = spread_of(g, p.y0, p.rows);
   p.surface = SurfacePlanes(p.width, p.rows);
   parallel_blocks(p.size(), 1 << 14, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       WindowPixel& pixel = p.pixels[i];
-      const float quality = pixel_quality({.footprint = pixel.footprint, .sigma = std::hypot(pixel.sigma, pixel.shared), .spread = spread.empty() ? 0 : spread[i], .coverage = coverage[i]},
-                                          options.reference_footprint);
+      const float quality = pixel_quality(own_evidence(pixel, spread.empty() ? 0 : spread[i], coverage[i]), options.scale());
       if (!(pixel.depth > 0) || p.masked[i] || p.saturated[i] || !pixel.low.allFinite() || !pixel.normal.allFinite() || !std::isfinite(pixel.radius) ||
           !(p.edge[i] > kMixedPixels) || !(p.cosv[i] > kLeastViewCos) || !(quality > 0))
         continue;
@@ -91,25 +99,58 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
   });
 }
 
+/// What pixels lie beside, once all of them are read: takes their surface over.
+class Surroundings {
+ public:
+  Surroundings(Preparation& p, const WindowOptions& options)
+      : p_(p), to_mask_(distance_to_marked(p.masked, p.width, p.rows, options.border_px)),
+        to_saturated_(distance_to_marked(p.saturated, p.width, p.rows, saturation_ramp_px(options.border_px))), surface_(std::move(p.surface), options.low_radius) {}
+  SurfaceMean mean(int x, int y) const { return surface_.mean(x, y, p_.pixels[index(x, y)].footprint); }
+  void add(int x, int y, float cosv, PixelEvidence& e) const {
+    e.cosv = cosv;
+    e.edge_px = p_.edge[index(x, y)];
+    e.mask_px = to_mask_[index(x, y)];
+    e.saturated_px = to_saturated_[index(x, y)];
+  }
+  std::size_t index(int x, int y) const { return static_cast<std::size_t>(y) * static_cast<std::size_t>(p_.width) + static_cast<std::size_t>(x); }
+
+ private:
+  const Preparation& p_;
+  std::vector<float> to_mask_, to_saturated_;
+  SurfacePyramid surface_;
+};
+
 void split_bands(Preparation& p, const WindowOptions& options, int first, int last) {
-  const auto to_mask = distance_to_marked(p.masked, p.width, p.rows, options.border_px);
-  const auto to_saturated = distance_to_marked(p.saturated, p.width, p.rows, saturation_ramp_px(options.border_px));
-  const SurfacePyramid surface(std::move(p.surface), options.low_radius);
+  const Surroundings around(p, options);
   parallel_blocks(static_cast<std::size_t>(last - first), 2, [&](std::size_t y0, std::size_t y1) {
     for (int y = first + static_cast<int>(y0); y < first + static_cast<int>(y1); ++y)
       for (int x = 0; x < p.width; ++x) {
-        const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(p.width) + static_cast<std::size_t>(x);
-        WindowPixel& pixel = p.pixels[i];
-        const SurfaceMean mean = surface.mean(x, y, pixel.footprint);
+        WindowPixel& pixel = p.pixels[around.index(x, y)];
+        const SurfaceMean mean = around.mean(x, y);
         if (!mean.valid) {
           pixel.weight = 0;
           continue;
         }
         pixel.high = pixel.low - mean.albedo;
         pixel.low = mean.albedo;
-        pixel.weight *= angle_weight(mean.cosv) * pixel_ramp({.edge_px = p.edge[i], .mask_px = to_mask[i], .saturated_px = to_saturated[i]}, options.border_px);
+        PixelEvidence evidence;
+        around.add(x, y, mean.cosv, evidence);
+        pixel.weight *= surroundings_quality(evidence, options.scale());
       }
   });
+}
+
+/// Rows [y0, y1) with their halo, up to where only their surroundings are missing.
+Preparation prepare(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int halo, const WindowOptions& options) {
+  Preparation p;
+  p.width = rasters.width();
+  p.y0 = std::max(0, y0 - halo + kPyramidRows - 1) / kPyramidRows * kPyramidRows;
+  p.rows = std::min(rasters.height(), (y1 + halo) / kPyramidRows * kPyramidRows) - p.y0;
+  p.pixels.resize(p.size());
+  read_geometry(rasters, p);
+  read_mask(rasters, p);
+  read_values(rasters, p, camera.lens, options);
+  return p;
 }
 
 }  // namespace
@@ -194,26 +235,38 @@ std::size_t window_bytes_per_pixel() {
 }
 
 PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options) {
-  Preparation p;
-  p.width = rasters.width();
-  p.y0 = std::max(0, y0 - margin - halo + kPyramidRows - 1) / kPyramidRows * kPyramidRows;
-  p.rows = std::min(rasters.height(), (y1 + margin + halo) / kPyramidRows * kPyramidRows) - p.y0;
   PhotoWindow window;
-  window.width = p.width;
+  window.width = rasters.width();
   window.y0 = std::max(0, y0 - margin);
   window.rows = std::min(rasters.height(), y1 + margin) - window.y0;
+  Preparation p = prepare(rasters, camera, y0 - margin, y1 + margin, halo, options);
   const int first = window.y0 - p.y0;
-
-  p.pixels.resize(p.size());
-  read_geometry(rasters, p);
-  read_mask(rasters, p);
-  read_values(rasters, p, camera.lens, options);
   split_bands(p, options, first, first + window.rows);
   const auto begin = p.pixels.begin() + static_cast<std::ptrdiff_t>(first) * p.width;
   p.pixels.erase(begin + static_cast<std::ptrdiff_t>(window.rows) * p.width, p.pixels.end());
   p.pixels.erase(p.pixels.begin(), begin);
   window.pixels = std::move(p.pixels);
   return window;
+}
+
+std::vector<SeenEvidence> load_evidence(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int step, int halo, const WindowOptions& options) {
+  Preparation p = prepare(rasters, camera, y0, y1, halo, options);
+  const auto coverage = rasters.gbuffer().rows<float>("coverage", y0, y1 - y0), spread = spread_of(rasters.gbuffer(), y0, y1 - y0);
+  const Surroundings around(p, options);
+  const auto across = static_cast<std::size_t>((p.width + step - 1) / step), down = static_cast<std::size_t>((y1 - y0 + step - 1) / step);
+  std::vector<SeenEvidence> all(across * down);
+  parallel_blocks(down, 2, [&](std::size_t v0, std::size_t v1) {
+    for (std::size_t i = v0 * across; i < v1 * across; ++i) {
+      const int x = static_cast<int>(i % across) * step, y = static_cast<int>(i / across) * step + y0 - p.y0;
+      const std::size_t at = around.index(x, y), in_rows = around.index(x, y + p.y0 - y0);
+      const WindowPixel& pixel = p.pixels[at];
+      if (!(pixel.depth > 0)) continue;
+      const SurfaceMean mean = around.mean(x, y);
+      all[i] = {own_evidence(pixel, spread.empty() ? 0 : spread[in_rows], coverage[in_rows]), true, pixel.weight > 0 && mean.valid};
+      around.add(x, y, mean.valid ? mean.cosv : p.cosv[at], all[i].evidence);
+    }
+  });
+  return all;
 }
 
 }  // namespace chiaro::blend

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "blend/bands.h"
+#include "blend/view_weights.h"
 #include "stream/photo/camera.h"
 #include "stream/photo/raster.h"
 
@@ -49,6 +50,7 @@ struct WindowOptions {
   float low_radius = 0;           ///< project units: the split between the bands
   float reference_footprint = 1;  ///< project units
   float border_px = 12;
+  WeightScale scale() const { return {reference_footprint, border_px}; }
 };
 
 /// One pixel as the surfels read it. weight 0: not to be read.
@@ -75,5 +77,13 @@ std::size_t window_bytes_per_pixel();
 
 /// Pixels whose surfels belong to rows [y0, y1), with `margin` rows more on both sides: one for interpolation, more where it is read beside the surfel.
 PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options);
+
+/// What the weight of a pixel is made of. is_read: surfels are read there; its weight is the product of all criteria.
+struct SeenEvidence {
+  PixelEvidence evidence;
+  bool is_on_surface = false, is_read = false;
+};
+/// Of every step-th pixel of rows y0, y0 + step, … below y1, row by row: for pictures of the weights.
+std::vector<SeenEvidence> load_evidence(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int step, int halo, const WindowOptions& options);
 
 }  // namespace chiaro::blend

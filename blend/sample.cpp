@@ -59,12 +59,14 @@ std::optional<Sample> read_at(const SurfelView& view, const Vec2d& place, const 
     sample.weight += share * p->weight;
     sample.sigma += share * p->sigma;
     sample.shared += share * p->shared;
+    sample.footprint += share * p->footprint / std::sqrt(seen.cosv);
     sample.low += share * p->low;
     sample.high += share * p->high;
   }
   if (!(sample.weight > 0) || agreeing < 0.25f) return std::nullopt;   // less than a quarter is extrapolation
   sample.sigma /= agreeing;
   sample.shared /= agreeing;
+  sample.footprint /= agreeing;
   sample.low /= agreeing;
   sample.high /= agreeing;
   return sample;

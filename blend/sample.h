@@ -15,6 +15,7 @@ struct Sample {
   std::uint32_t slot = 0;
   float weight = 0, sigma = 0, shared = 0;
   Vec3f low = Vec3f::Zero(), high = Vec3f::Zero();
+  float footprint = 0;   ///< side of a square as large as the pixel is on the surface, project units
 };
 
 /// How far a surfel may lie from what the pixel sees and still be the same surface: the discs' own size, and the depth that one pixel spans at this

@@ -17,7 +17,8 @@ struct LeafStats {
   std::vector<std::uint32_t> counters;   ///< those of the record
 };
 
-/// chunk: the leaf's number in the store. shared_sigma: see resolve().
-LeafStats write_leaf(stream::LayerWriter& writer, std::uint32_t chunk, const LeafRecord<Accumulator>& record, float shared_sigma);
+std::vector<BlendedSurfel> resolve_leaf(const LeafRecord<Accumulator>& record, float shared_sigma);
+/// chunk: the leaf's number in the store; values: what is written of its surfels.
+LeafStats write_leaf(stream::LayerWriter& writer, std::uint32_t chunk, const LeafRecord<Accumulator>& record, const std::vector<BlendedSurfel>& values);
 
 }  // namespace chiaro::blend

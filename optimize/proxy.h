@@ -2,10 +2,10 @@
 /// the proxy may be coarser than the photographs; direct light, shadows and normals stay at full resolution (physics.md E.7).
 #pragma once
 #include <cstdint>
-#include <memory>
 #include <span>
 #include <vector>
 
+#include "stream/base/nearest_points.h"
 #include "stream/store/store.h"
 #include "surfels/tracer.h"
 #include "surfels/working_set.h"
@@ -26,20 +26,6 @@ struct Proxy {
 };
 
 Proxy load_proxy(const stream::Store& store, const surfels::WorkingSet& cut);
-
-/// k nearest points by kd-tree (nanoflann). Thread-safe queries; ties by index.
-class NearestPoints {
- public:
-  explicit NearestPoints(std::span<const Vec3f> points);  ///< keeps the span: the points must outlive it
-  NearestPoints(NearestPoints&&) noexcept;
-  ~NearestPoints();
-  /// Fills up to k indices and squared distances, nearest first; returns how many.
-  std::size_t find(const Vec3f& point, std::size_t k, std::uint32_t* index, float* distance2) const;
-
- private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
-};
 
 /// Settles the signs of normals: votes[i] > 0 keeps, < 0 flips (cameras that see the surfel); the rest follows its neighbours, outwards.
 void orient(Proxy& proxy, std::span<const float> votes, const NearestPoints& nearest);

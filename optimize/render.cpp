@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 #include <numbers>
+#include <optional>
 #include <unordered_map>
 
 #include "optimize/fields.h"
@@ -25,12 +27,13 @@ struct RenderSet {
   surfels::Tracer tracer;
   std::unordered_map<std::uint32_t, std::vector<Vec3f>> albedo;
   BudgetLease lease;
+  std::unique_ptr<RenderSet> inserted;   ///< finer points, for their colour alone
 };
 
 RenderSet load_set(const stream::Store& store, const stream::Layer& layer, const RenderView& view, MemoryBudget& budget, Reporter& report) {
   surfels::View seen{view.lens, view.pose, {0, 0, view.lens.width_px, view.lens.height_px}, {view.pose.world_from_camera(view.flash_in_camera)}};
   const surfels::WorkingSet set = surfels::select_visible(store, seen, {}, budget, report);
-  RenderSet r{surfels::Tracer(view.pose.centre_in_world(), budget), {}, BudgetLease(budget, set.surfels * sizeof(Vec3f), "albedo of the view")};
+  RenderSet r{surfels::Tracer(view.pose.centre_in_world(), budget), {}, BudgetLease(budget, set.surfels * sizeof(Vec3f), "albedo of the view"), nullptr};
   for (const std::uint32_t c : set.chunks) {
     r.tracer.add(store.read_chunk(c));
     r.albedo.emplace(c, stream::read_albedo(layer, store, c).albedo);
@@ -105,6 +108,33 @@ struct Shader {
     return {a[3 * i], a[3 * i + 1], a[3 * i + 2]};
   }
 
+  /// The same over the inserted points at p, and those of the cloud that are as near as they; nullopt where there are none.
+  std::optional<Vec3f> finer_albedo(const surfels::Ray& ray, const surfels::Hit& hit, const surfels::HitBlend& cloud, const Vec3f& p) const {
+    if (!set.inserted) return std::nullopt;
+    surfels::Hit fine;
+    surfels::HitBlend found;
+    const float beside = hit.radius / std::max(0.2f, -hit.normal.dot(ray.direction));
+    if (!set.inserted->tracer.closest({ray.origin, ray.direction, std::max(0.0f, hit.t - beside), hit.t + beside}, fine, found)) return std::nullopt;
+    Vec3f sum = Vec3f::Zero();
+    float weight = 0;
+    const auto add = [&](const RenderSet& from, const surfels::HitBlend& blend) {
+      for (std::size_t i = 0; i < static_cast<std::size_t>(blend.count); ++i) {
+        const SurfelId& id = blend.surfel[i];
+        const Vec3f& a = from.albedo.at(id.chunk)[id.slot];
+        Vec3f away = from.tracer.scene_from_world(from.tracer.chunk(id.chunk)->surfel(id.slot).position_in_world) - p;
+        away -= hit.normal * hit.normal.dot(away);
+        const float k = 1 - away.squaredNorm() / (fine.radius * fine.radius);
+        if (!(k > 0) || !(std::isfinite(a.x()) && std::isfinite(a.y()) && std::isfinite(a.z()))) continue;
+        sum += k * k * a;
+        weight += k * k;
+      }
+    };
+    add(*set.inserted, found);
+    if (!(weight > 0)) return std::nullopt;
+    add(set, cloud);
+    return Vec3f(sum / weight);
+  }
+
   float flash_irradiance(const Vec3f& p, const surfels::Hit& hit) const {
     const Vec3f to_flash = flash - p;
     const float r2 = to_flash.squaredNorm(), r = std::sqrt(r2), cosine = hit.normal.dot(to_flash) / r;
@@ -135,7 +165,8 @@ struct Shader {
         pixel.depth += hit.t;
         pixel.radius = std::max(pixel.radius, hit.radius);
         const Vec3f p = ray.origin + ray.direction * hit.t;
-        const Vec3f a = albedo_of(blend, p, unseen);
+        const auto finer = finer_albedo(ray, hit, blend, p);
+        const Vec3f a = finer ? *finer : albedo_of(blend, p, unseen);
         albedo += a;
         point += p;
         normal += hit.normal;
@@ -219,7 +250,8 @@ RenderStats render(const stream::Store& store, const stream::Layer& layer, const
   const Vec3d flash_in_world = view.pose.world_from_camera(view.flash_in_camera);
   OtherLight other;
   if (options.mode == RenderMode::kFull) other = other_light(store, solved->scene, solved->proxy_albedo, lights, flash_in_world, options.scatterings, budget);
-  const RenderSet set = load_set(store, layer, view, budget, report);
+  RenderSet set = load_set(store, layer, view, budget, report);
+  if (options.inserted && options.inserted_layer) set.inserted = std::make_unique<RenderSet>(load_set(*options.inserted, *options.inserted_layer, view, budget, report));
   const Vec3f proxy_from_tracer = solved ? Vec3f((set.tracer.origin_in_world() - solved->scene.proxy.origin_in_world).cast<float>()) : Vec3f::Zero();
   const Shader shader{set, solved, other, lights, view, options, set.tracer.scene_from_world(view.pose.centre_in_world()), set.tracer.scene_from_world(flash_in_world),
                       proxy_from_tracer, view.pose.rotation_camera_from_world.transpose().cast<float>()};

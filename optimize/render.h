@@ -29,6 +29,8 @@ struct RenderOptions {
   int subpixels = 4;
   int scatterings = 12;   ///< surface scatterings of the bounced light
   std::span<const DetailPhotograph> sharpen_by;   ///< none: the albedo of the points alone
+  const stream::Store* inserted = nullptr;          ///< points between those of the store: where there are some, colour is theirs
+  const stream::Layer* inserted_layer = nullptr;    ///< of that store
 };
 
 struct RenderStats {

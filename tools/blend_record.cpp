@@ -13,10 +13,13 @@ using Json = nlohmann::ordered_json;
 Json json_of(const blend::PhotographStats& p, const std::string& name) {
   Json j{{"photograph", name}, {"samples", p.samples}, {"rejected", p.rejected}, {"gain", p.gain}, {"shift_px", nullptr}, {"disturbed", nullptr}};
   const blend::Inspection& i = p.inspection;
+  if (i.correlation > 0) {
+    j["shift_correlation"] = i.correlation;
+    j["shift_sd_px"] = i.shift_sd_px;
+  }
   if (i.shift_px) {
     j["shift_px"] = {i.shift_px->x(), i.shift_px->y()};
     j["shift_spread_px"] = i.shift_spread_px;
-    j["shift_correlation"] = i.correlation;
     j["shift_corrected_px"] = {p.alignment.shift_px.x(), p.alignment.shift_px.y()};
     j["trust"] = p.alignment.trust;
   }
@@ -44,6 +47,7 @@ std::string blend_record_json(const blend::BlendStats& stats, std::span<const bl
   }
   const Json record{{"points", stats.points}, {"points_seen", stats.points_seen}, {"points_disputed", stats.points_disputed}, {"samples", stats.samples},
                     {"scatter", stats.scatter}, {"leaves", stats.leaves}, {"leaves_kept", stats.leaves_kept}, {"photographs_read", stats.photographs_read}, {"scratch_bytes", stats.scratch_bytes},
+                    {"weights", {{"footprint", stats.window.reference_footprint}, {"low_radius", stats.window.low_radius}, {"border_px", stats.window.border_px}}},
                     {"photographs", each}, {"notes", notes}};
   return record.dump();
 }

@@ -45,13 +45,14 @@ std::string layer_of(const stream::Store& store, const std::string& wanted) {
 
 void print(const fs::path& file, const ExportStats& stats, Console& console) {
   if (console.json) {
-    const nlohmann::ordered_json out{{"file", file.string()}, {"points", stats.points}, {"points_unseen", stats.points_unseen}, {"points_filled", stats.points_filled},
+    const nlohmann::ordered_json out{{"file", file.string()}, {"points", stats.points}, {"points_unseen", stats.points_unseen}, {"points_filled", stats.points_filled}, {"points_inserted", stats.points_inserted},
                                      {"points_moved", stats.points_moved}, {"positions_from_store", stats.positions_from_store}};
     return console.result(out.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace));
   }
   console.clear_line();
   console.out() << file.string() << ": " << format_count(stats.points) << " points, " << format_count(stats.points_unseen) << " of them unseen";
   if (stats.points_filled) console.out() << " (" << format_count(stats.points_filled) << " filled from their neighbours)";
+  if (stats.points_inserted) console.out() << ", " << format_count(stats.points_inserted) << " inserted after the cloud's own";
   console.out() << '\n';
 }
 

@@ -11,6 +11,7 @@
 #include "tools/args.h"
 #include "tools/colour_source.h"
 #include "tools/commands.h"
+#include "tools/inserted_points.h"
 #include "tools/table.h"
 
 namespace chiaro::tools {
@@ -68,6 +69,13 @@ Json json_of(const stream::Layer& layer, const std::string& name) {
   return {{"name", name}, {"record_bytes", layer.record_bytes()}, {"fields", fields}, {"provenance", provenance.is_discarded() ? Json(nullptr) : provenance}};
 }
 
+/// With what was inserted beside it.
+Json layer_json(const stream::Store& store, const std::string& name) {
+  Json out = json_of(stream::Layer(store, name), name);
+  if (const auto inserted = open_inserted(store, name)) out["inserted"] = {{"store", inserted->store->path().string()}, {"points", inserted->seen()}};
+  return out;
+}
+
 /// "joint, 12 photographs of day1": from what the layer says of itself.
 std::string made_by(const stream::Layer& layer) {
   const Json provenance = Json::parse(layer.provenance_json(), nullptr, false);
@@ -98,7 +106,7 @@ std::string as_json(const stream::Store& store) {
   for (const auto& [number, level] : levels_of(store))
     out["levels"].push_back({{"level", number}, {"chunks", level.chunks}, {"leaves", level.leaves}, {"surfels", level.surfels}, {"spacing_min", level.spacing_min}, {"spacing_max", level.spacing_max}});
   out["layers"] = Json::array();
-  for (const std::string& name : stream::layer_names(store)) out["layers"].push_back(json_of(stream::Layer(store, name), name));
+  for (const std::string& name : stream::layer_names(store)) out["layers"].push_back(layer_json(store, name));
   return out.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
@@ -130,7 +138,9 @@ void print(const stream::Store& store, std::ostream& out) {
     const stream::Layer layer(store, name);
     std::string fields;
     for (const stream::LayerField& field : layer.fields()) fields += (fields.empty() ? "" : ", ") + field_text(field);
-    layers.row({name, std::to_string(layer.record_bytes()), fields, made_by(layer)});
+    std::string made = made_by(layer);
+    if (const auto inserted = open_inserted(store, name)) made += concat("; ", format_count(inserted->seen()), " points inserted");
+    layers.row({name, std::to_string(layer.record_bytes()), fields, made});
   }
   out << '\n' << layers.text();
 }

@@ -9,10 +9,21 @@
 #include "tools/args.h"
 #include "tools/colour_source.h"
 #include "tools/commands.h"
+#include "tools/inserted_points.h"
 #include "tools/resources.h"
 #include "tools/table.h"
 
 namespace chiaro::tools {
+namespace {
+
+void add(stream::RepairResult& sum, const stream::RepairResult& more) {
+  sum.repaired.insert(sum.repaired.end(), more.repaired.begin(), more.repaired.end());
+  sum.lost.insert(sum.lost.end(), more.lost.begin(), more.lost.end());
+  sum.advice.insert(sum.advice.end(), more.advice.begin(), more.advice.end());
+  sum.points_lost += more.points_lost;
+}
+
+}  // namespace
 
 int run_verify(std::span<const std::string> args, Console& console) {
   std::string dir;
@@ -20,7 +31,7 @@ int run_verify(std::span<const std::string> args, Console& console) {
   int threads = 0;
   bool repair = false;
   Args parser("verify",
-              "Reads a whole store and checks it: checksums, counts, links, bounds, that every point is there exactly once, and all layers.\n"
+              "Reads a whole store and checks it: checksums, counts, links, bounds, that every point is there exactly once, all layers, and points inserted beside them.\n"
               "With --repair what follows from whole parts is rebuilt first, as it was: inner levels from the leaves, the index, totals of the manifest, inner values\n"
               "of layers. Damaged geometry, source indices and layer values of leaves are kept nowhere else: they are named, and stay damaged.\n"
               "Exit code 0 if the store is whole (now), 1 if damage remains.");
@@ -32,8 +43,15 @@ int run_verify(std::span<const std::string> args, Console& console) {
   const ThreadLimit limit(threads);
   MemoryBudget budget(budget_bytes(memory_bytes));
   const auto folder = store_folder(dir);
-  const stream::RepairResult fixed = repair ? stream::repair_store(folder, budget, console.report()) : stream::RepairResult{};
-  const stream::VerifyResult result = stream::verify_store(folder, budget, console.report());
+  stream::RepairResult fixed = repair ? stream::repair_store(folder, budget, console.report()) : stream::RepairResult{};
+  stream::VerifyResult result = stream::verify_store(folder, budget, console.report());
+  for (const auto& inserted : inserted_stores(folder)) {
+    if (repair) add(fixed, stream::repair_store(inserted, budget, console.report()));
+    const stream::VerifyResult more = stream::verify_store(inserted, budget, console.report());
+    for (const std::string& problem : more.problems) result.problems.push_back(concat(inserted.lexically_relative(folder).string(), ": ", problem));
+    result.chunks += more.chunks;
+    result.surfels += more.surfels;
+  }
   console.clear_line();
   if (console.json) {
     nlohmann::ordered_json out{{"store", folder.string()}, {"chunks", result.chunks}, {"surfels", result.surfels}, {"problems", result.problems}};

@@ -49,6 +49,7 @@ class FileColours final : public ColourSource {
           offsets_[c] = offset;
           is_double_[c] = property.type == stream::ScalarType::kF64;
         }
+      if (property.name == "inserted" && property.type == stream::ScalarType::kU8) inserted_ = offset;
       offset += stream::scalar_bytes(property.type);
     }
     row_bytes_ = offset;
@@ -60,19 +61,24 @@ class FileColours final : public ColourSource {
   bool position_is_double() const override { return reader_->schema().position_is_double; }
   std::uint64_t declared_points() const override { return reader_->schema().declared_points; }
   bool read(ColourBlock& block) override {
-    if (!reader_->read(points_, kBlockPoints)) return false;
-    block = {};
-    block.position = points_.position;
-    for (const auto& code : points_.colour) block.colour.push_back(srgb_table()(code));
-    if (!has_albedo()) return true;
-    block.albedo.resize(points_.size());
-    for (std::size_t i = 0; i < points_.size(); ++i)
-      for (std::size_t c = 0; c < 3; ++c) block.albedo[i][static_cast<Eigen::Index>(c)] = scalar(points_.extras.data() + i * row_bytes_ + offsets_[c], is_double_[c]);
+    do {
+      if (!reader_->read(points_, kBlockPoints)) return false;
+      block = {};
+      for (std::size_t i = 0; i < points_.size(); ++i)
+        if (inserted_ == kNone || points_.extras[i * row_bytes_ + inserted_] == std::byte{0}) add(i, block);
+    } while (block.position.empty());
     return true;
   }
 
  private:
   static constexpr std::size_t kNone = std::numeric_limits<std::size_t>::max();
+  void add(std::size_t i, ColourBlock& block) const {
+    block.position.push_back(points_.position[i]);
+    if (!points_.colour.empty()) block.colour.push_back(srgb_table()(points_.colour[i]));
+    if (!has_albedo()) return;
+    Vec3f& albedo = block.albedo.emplace_back();
+    for (std::size_t c = 0; c < 3; ++c) albedo[static_cast<Eigen::Index>(c)] = scalar(points_.extras.data() + i * row_bytes_ + offsets_[c], is_double_[c]);
+  }
   static float scalar(const std::byte* at, bool is_double) {
     if (is_double) {
       double value = 0;
@@ -87,6 +93,7 @@ class FileColours final : public ColourSource {
   stream::PointBlock points_;
   std::array<std::size_t, 3> offsets_{kNone, kNone, kNone};
   std::array<bool, 3> is_double_{};
+  std::size_t inserted_ = kNone;   ///< of points that a run has added (blend.refine): they are left out
   std::size_t row_bytes_ = 0;
 };
 

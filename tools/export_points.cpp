@@ -15,6 +15,7 @@
 #include "stream/cloud/point_stream.h"
 #include "stream/store/layer.h"
 #include "tools/fill_unseen.h"
+#include "tools/inserted_points.h"
 
 namespace chiaro::tools {
 namespace {
@@ -167,13 +168,13 @@ std::optional<CarriedField> find_field(const stream::PointSchema& schema, const 
 /// The source files one after the other, as one run of points. Only made while all of them are what they were at ingest.
 class SourceFiles {
  public:
-  SourceFiles(const stream::Manifest& manifest, bool with_albedo, Reporter& report) : manifest_(manifest) {
+  SourceFiles(const stream::Manifest& manifest, bool with_albedo, bool with_inserted, Reporter& report) : manifest_(manifest) {
     for (const std::string& file : manifest.source_files) {
       const auto reader = stream::open_points(file);
       schemas_.push_back(reader->schema());
       position_is_double_ |= reader->schema().position_is_double;
     }
-    choose_carried(with_albedo, report);
+    choose_carried(with_albedo, with_inserted, report);
   }
 
   static bool unchanged(const stream::Manifest& manifest, std::string& why) {
@@ -224,9 +225,10 @@ class SourceFiles {
   }
 
  private:
-  void choose_carried(bool with_albedo, Reporter& report) {
+  void choose_carried(bool with_albedo, bool with_inserted, Reporter& report) {
     std::vector<std::string> ours{"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"};
     if (with_albedo) ours.insert(ours.end(), {"albedo_r", "albedo_g", "albedo_b", "sigma", "photos"});
+    if (with_inserted) ours.push_back("inserted");
     for (const PointProperty& p : schemas_.front().extras) {
       if (std::find(ours.begin(), ours.end(), p.name) != ours.end()) {
         report.note(concat("export: the input's property \"", p.name, "\" is replaced by the result's"));
@@ -254,8 +256,8 @@ class SourceFiles {
 /// Packs rows in the order of the contract.
 class RowPacker {
  public:
-  RowPacker(bool double_positions, bool wide_colours, bool with_albedo, const std::vector<PointProperty>& carried)
-      : double_positions_(double_positions), wide_colours_(wide_colours), with_albedo_(with_albedo) {
+  RowPacker(bool double_positions, bool wide_colours, bool with_albedo, bool with_inserted, const std::vector<PointProperty>& carried)
+      : double_positions_(double_positions), wide_colours_(wide_colours), with_albedo_(with_albedo), with_inserted_(with_inserted) {
     const ScalarType position = double_positions ? ScalarType::kF64 : ScalarType::kF32;
     for (const char* name : {"x", "y", "z"}) properties_.push_back({name, position});
     for (const char* name : {"nx", "ny", "nz"}) properties_.push_back({name, ScalarType::kF32});
@@ -264,14 +266,30 @@ class RowPacker {
       for (const char* name : {"albedo_r", "albedo_g", "albedo_b", "sigma"}) properties_.push_back({name, ScalarType::kF32});
       properties_.push_back({"photos", ScalarType::kU16});
     }
+    if (with_inserted) properties_.push_back({"inserted", ScalarType::kU8});
+    first_carried_ = properties_.size();
     properties_.insert(properties_.end(), carried.begin(), carried.end());
     for (const PointProperty& p : properties_) row_bytes_ += stream::scalar_bytes(p.type);
   }
   const std::vector<PointProperty>& properties() const { return properties_; }
   std::size_t row_bytes() const { return row_bytes_; }
 
+  /// Carried properties of a point that no source file has: not a number, whole numbers 0.
+  std::byte* pack_nothing_carried(std::byte* at) const {
+    for (std::size_t i = first_carried_; i < properties_.size(); ++i) {
+      const std::size_t bytes = stream::scalar_bytes(properties_[i].type);
+      constexpr double kNaN64 = std::numeric_limits<double>::quiet_NaN();
+      constexpr float kNaN32 = std::numeric_limits<float>::quiet_NaN();
+      if (properties_[i].type == ScalarType::kF64) std::memcpy(at, &kNaN64, bytes);
+      else if (properties_[i].type == ScalarType::kF32) std::memcpy(at, &kNaN32, bytes);
+      else std::memset(at, 0, bytes);
+      at += bytes;
+    }
+    return at;
+  }
+
   /// Writes all but the carried properties; returns where those go.
-  std::byte* pack(const PointRecord& r, const Vec3d& position, std::byte* at) const {
+  std::byte* pack(const PointRecord& r, const Vec3d& position, std::uint8_t inserted, std::byte* at) const {
     const auto put = [&at](const auto& value) {
       std::memcpy(at, &value, sizeof value);
       at += sizeof value;
@@ -288,12 +306,14 @@ class RowPacker {
       put(r.sigma);
       put(r.photos);
     }
+    if (with_inserted_) put(inserted);
     return at;
   }
 
  private:
-  bool double_positions_, wide_colours_, with_albedo_;
+  bool double_positions_, wide_colours_, with_albedo_, with_inserted_;
   std::vector<PointProperty> properties_;
+  std::size_t first_carried_ = 0;
   std::size_t row_bytes_ = 0;
 };
 
@@ -314,16 +334,18 @@ class Exporter {
   Exporter(const stream::Store& store, const ExportOptions& options, MemoryBudget& budget, Reporter& report)
       : store_(store), options_(options), budget_(budget), report_(report) {
     const stream::Manifest& manifest = store.manifest();
+    if (with_albedo()) inserted_ = open_inserted(store, options.layer);
+    if (inserted_) stats_.points_inserted = inserted_->seen();
     std::string why;
     if (SourceFiles::unchanged(manifest, why)) {
-      sources_.emplace(manifest, with_albedo(), report);
+      sources_.emplace(manifest, with_albedo(), inserted_.has_value(), report);
     } else {
       stats_.positions_from_store = true;
       report.note(concat("export: ", why, ": positions come from the store, further properties of the input are left out"));
     }
     const bool wide = sources_ ? sources_->position_is_double() : extent_needs_double(manifest);
     const bool wide_colours = options.file.extension() == ".las" || options.file.extension() == ".LAS";  // its fields have 16 bits anyway
-    rows_.emplace(wide, wide_colours, with_albedo(), sources_ ? sources_->carried() : std::vector<PointProperty>{});
+    rows_.emplace(wide, wide_colours, with_albedo(), inserted_.has_value(), sources_ ? sources_->carried() : std::vector<PointProperty>{});
     for (const std::uint64_t n : manifest.source_points) num_sources_ += n;
     num_sources_ = std::max(num_sources_, manifest.points_read);
   }
@@ -383,12 +405,17 @@ class Exporter {
   void write_rows(const Buckets& buckets, std::uint64_t per_bucket) {
     const stream::Manifest& manifest = store_.manifest();
     stream::PointWriterOptions writer_options;
-    writer_options.num_points = manifest.points_stored;
+    writer_options.num_points = manifest.points_stored + stats_.points_inserted;
     writer_options.properties = rows_->properties();
     writer_options.bounds = grown_bounds(manifest);
+    if (inserted_) {
+      const Box3d more = grown_bounds(inserted_->store->manifest());
+      writer_options.bounds.extend(more.min);
+      writer_options.bounds.extend(more.max);
+    }
     if (with_albedo()) writer_options.comments.push_back(concat("layer ", options_.layer));
     const auto writer = stream::create_points(options_.file, writer_options);
-    report_.begin("export: write", manifest.points_stored, "points");
+    report_.begin("export: write", writer_options.num_points, "points");
     for (std::size_t b = 0; b < buckets.count(); ++b) {
       const std::vector<PointRecord> records = buckets.read(b);
       const std::uint64_t first = buckets.first_source(b), end = std::min(num_sources_, first + per_bucket);
@@ -400,6 +427,7 @@ class Exporter {
         report_.progress(stats_.points);
       }
     }
+    if (inserted_) write_inserted(*writer);
     writer->commit();
     report_.end();
   }
@@ -413,13 +441,37 @@ class Exporter {
     for (std::size_t i = 0; i < count; ++i) {
       if (place[offset + i] == kAbsent) continue;   // rejected at ingest
       const PointRecord& r = records[place[offset + i]];
-      at = rows_->pack(r, position(r, block, i), at);
+      at = rows_->pack(r, position(r, block, i), 0, at);
       if (block) at = sources_->copy_carried(i, at);
     }
     const auto written = static_cast<std::size_t>(at - row_buffer_.data()) / rows_->row_bytes();
     writer.write(row_buffer_.data(), written);
     stats_.points += written;
     return count;
+  }
+
+  /// After all others, by leaf. What no photograph sees is no point.
+  void write_inserted(stream::PointWriter& writer) {
+    ExportOptions plain = options_;
+    plain.fill = false;
+    const LeafSource source(*inserted_->store, plain);
+    for (const std::uint32_t leaf : inserted_->store->leaves()) {
+      report_.check();
+      const LeafRecords records = source.read(leaf);
+      for (std::size_t first = 0; first < records.points.size(); first += read_points_) {
+        const std::size_t end = std::min(records.points.size(), first + read_points_);
+        row_buffer_.resize((end - first) * rows_->row_bytes());
+        std::byte* at = row_buffer_.data();
+        for (std::size_t i = first; i < end; ++i) {
+          const PointRecord& r = records.points[i];
+          if (r.photos > 0) at = rows_->pack_nothing_carried(rows_->pack(r, Vec3d(r.position[0], r.position[1], r.position[2]), 1, at));
+        }
+        const auto written = static_cast<std::size_t>(at - row_buffer_.data()) / rows_->row_bytes();
+        writer.write(row_buffer_.data(), written);
+        stats_.points += written;
+      }
+      report_.progress(stats_.points);
+    }
   }
 
   Vec3d position(const PointRecord& r, const stream::PointBlock* block, std::size_t i) {
@@ -436,6 +488,7 @@ class Exporter {
   const ExportOptions& options_;
   MemoryBudget& budget_;
   Reporter& report_;
+  std::optional<InsertedPoints> inserted_;
   std::optional<SourceFiles> sources_;
   std::optional<RowPacker> rows_;
   std::uint64_t num_sources_ = 0;

@@ -330,12 +330,16 @@ void read_layer(const Section& blend, std::string& layer) {
 
 void read_blend(const toml::node* node, BlendInput& blend) {
   if (!node) return;
-  const Section section(as_table(*node, "blend"), "blend", {"layer", "keep", "reject", "gain", "align"});
+  const Section section(as_table(*node, "blend"), "blend", {"layer", "keep", "reject", "gain", "align", "denoise", "refine", "refine_points"});
   read_layer(section, blend.layer);
   if (const toml::node* keep = section.find("keep")) blend.keep = as_switch(*keep, "blend.keep");
   if (const toml::node* reject = section.find("reject")) blend.reject = as_switch(*reject, "blend.reject");
   if (const toml::node* align = section.find("align")) blend.align = as_switch(*align, "blend.align");
+  if (const toml::node* denoise = section.find("denoise")) blend.denoise = as_switch(*denoise, "blend.denoise");
   section.choice("gain", blend.gain);
+  section.choice("refine", blend.refine);
+  constexpr std::int64_t kMostPoints = 1'000'000'000'000;
+  if (const toml::node* points = section.find("refine_points")) blend.refine_points = static_cast<std::uint64_t>(as_whole(*points, "blend.refine_points", 1, kMostPoints));
 }
 
 void read_exports(const toml::node* node, Project& project) {

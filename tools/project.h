@@ -23,6 +23,8 @@ enum class FloorModel { kAuto, kNone };
 enum class SolveMethod { kJoint, kSingle, kAdam, kDirect, kNone };
 /// Factors between photographs that the blend takes out: none, one each, one a channel.
 enum class BlendGain { kNone, kGrey, kChannels };
+/// New points where the photographs show more than the cloud samples.
+enum class BlendRefine { kNone, kImage };
 /// What an acquisition is for: the photographs themselves, or the same views without the flash, which measure the ambient light.
 enum class AcquisitionRole { kFlash, kNoFlash };
 
@@ -35,6 +37,7 @@ const char* name_of(AmbientModel value);
 const char* name_of(FloorModel value);
 const char* name_of(SolveMethod value);
 const char* name_of(BlendGain value);
+const char* name_of(BlendRefine value);
 const char* name_of(AcquisitionRole value);
 
 struct CloudInput {
@@ -87,10 +90,13 @@ struct Acquisition {
 
 struct BlendInput {
   std::string layer = "albedo";              ///< name of the layer that the run writes; never "input", which holds the cloud's own colour
+  bool denoise = true;                       ///< what a point's own sigma leaves open is taken from its neighbours
   bool keep = false;                         ///< keep the sums, so that photographs can be added or taken away later at the cost of what they see
   bool reject = true;                        ///< leave out readings that most photographs of a point contradict
   BlendGain gain = BlendGain::kGrey;
   bool align = true;                         ///< find photographs that lie beside what the others show, and read them there
+  BlendRefine refine = BlendRefine::kNone;
+  std::optional<std::uint64_t> refine_points;   ///< new points at most; absent: four times as many as the cloud has
 };
 
 struct ExportInput {

@@ -46,7 +46,11 @@ std::string to_json(const Project& project) {
     if (acquisition.lights_of) out["acquisition"].back()["lights_of"] = project.acquisitions[*acquisition.lights_of].name;
   }
   out["solve"] = {{"method", name_of(project.method)}};
-  out["blend"] = {{"layer", project.blend.layer}, {"keep", project.blend.keep}, {"reject", project.blend.reject}, {"gain", name_of(project.blend.gain)}, {"align", project.blend.align}};
+  out["blend"] = {{"layer", project.blend.layer}, {"keep", project.blend.keep}, {"reject", project.blend.reject}, {"gain", name_of(project.blend.gain)}, {"align", project.blend.align}, {"denoise", project.blend.denoise}};
+  if (project.blend.refine != BlendRefine::kNone) {
+    out["blend"]["refine"] = name_of(project.blend.refine);
+    if (project.blend.refine_points) out["blend"]["refine_points"] = *project.blend.refine_points;
+  }
   out["run"] = {{"memory", project.memory_bytes}, {"threads", project.threads}, {"seed", project.seed}};
   out["export"] = Json::array();
   for (const ExportInput& one : project.exports) out["export"].push_back({{"file", one.file}, {"fill", one.fill}});

@@ -27,6 +27,7 @@ const Words<BlendGain>& words_of(BlendGain) {
   static const Words<BlendGain> w{{"none", BlendGain::kNone}, {"grey", BlendGain::kGrey}, {"channels", BlendGain::kChannels}};
   return w;
 }
+const Words<BlendRefine>& words_of(BlendRefine) { static const Words<BlendRefine> w{{"none", BlendRefine::kNone}, {"image", BlendRefine::kImage}}; return w; }
 const Words<AcquisitionRole>& words_of(AcquisitionRole) {
   static const Words<AcquisitionRole> w{{"flash", AcquisitionRole::kFlash}, {"no_flash", AcquisitionRole::kNoFlash}};
   return w;
@@ -49,6 +50,7 @@ const char* name_of(AmbientModel value) { return word_of(value); }
 const char* name_of(FloorModel value) { return word_of(value); }
 const char* name_of(SolveMethod value) { return word_of(value); }
 const char* name_of(BlendGain value) { return word_of(value); }
+const char* name_of(BlendRefine value) { return word_of(value); }
 const char* name_of(AcquisitionRole value) { return word_of(value); }
 
 }  // namespace chiaro::tools

@@ -17,6 +17,7 @@ const Words<AmbientModel>& words_of(AmbientModel);
 const Words<FloorModel>& words_of(FloorModel);
 const Words<SolveMethod>& words_of(SolveMethod);
 const Words<BlendGain>& words_of(BlendGain);
+const Words<BlendRefine>& words_of(BlendRefine);
 const Words<AcquisitionRole>& words_of(AcquisitionRole);
 
 }  // namespace chiaro::tools

@@ -5,6 +5,7 @@
 #include <numeric>
 #include <set>
 
+#include "tools/camera_record.h"
 #include "tools/light_spread_json.h"
 #include "tools/report_data.h"
 #include "tools/table.h"
@@ -90,6 +91,16 @@ void read_lights(ReportData& data) {
     else
       for (const Json& one : each) data.found.push_back(read_light(one, a, method));
   }
+}
+
+void read_weights(const RunFolder& folder, ReportData& data) {
+  const Json& weights = member(member(data.record, "blending"), "weights");
+  const auto at = [&](const char* name) { return static_cast<float>(number_of(member(weights, name))); };
+  const blend::WindowOptions options{.low_radius = at("low_radius"), .reference_footprint = at("footprint"), .border_px = at("border_px")};
+  std::error_code code;
+  if (!(options.low_radius > 0 && options.reference_footprint > 0 && options.border_px > 0 && options.border_px <= 64) || !std::filesystem::exists(folder.cameras(), code)) return;
+  data.weights = options;
+  for (PhotographCamera& c : read_camera_record(folder.cameras())) data.cameras[c.camera.photograph] = std::move(c.camera);
 }
 
 /// Photographs of the project that the run did not leave out.
@@ -178,6 +189,8 @@ std::set<std::size_t> choose_shown(const ReportData& data, std::size_t most) {
   return shown;
 }
 
+constexpr int kWeightsAreSmallerBy = 2;
+
 std::uint64_t draw_all(const RunFolder& folder, ReportData& data, const std::set<std::size_t>& shown, int width, Reporter& report) {
   std::uint64_t bytes = 0, done = 0;
   report.begin("report: draw", shown.size(), "photographs");
@@ -185,7 +198,9 @@ std::uint64_t draw_all(const RunFolder& folder, ReportData& data, const std::set
     ReportedPhotograph& p = data.photographs[i];
     ReportPhoto photo(folder, p.key, data.solved_lights);
     p.pictures = draw(photo, data.scales, width, report);
-    for (const ReportPicture& picture : p.pictures) bytes += (picture.png.size() + 2) / 3 * 4;
+    if (data.weights && data.cameras.contains(p.key)) p.weights = draw_weights(folder, data.cameras.at(p.key), *data.weights, std::max(1, width / kWeightsAreSmallerBy), report);
+    for (const auto* pictures : {&p.pictures, &p.weights})
+      for (const ReportPicture& picture : *pictures) bytes += (picture.png.size() + 2) / 3 * 4;
     report.progress(++done);
   }
   report.end();
@@ -197,7 +212,9 @@ int draw_within(const RunFolder& folder, ReportData& data, const ReportOptions& 
   const std::set<std::size_t> shown = choose_shown(data, options.max_pictures_of);
   data.shown = shown.size();
   double pixels_at_one = 0;   // of all pictures, were they one pixel wide
-  for (const std::size_t i : shown) pixels_at_one += (data.solved_lights ? 9.0 : 6.0) * data.photographs[i].height / data.photographs[i].width;
+  constexpr double kWeightsCompress = 4;   // even areas
+  const double pictures = (data.solved_lights ? 9.0 : 6.0) + (data.weights ? blend::kCriteria.size() + 1.0 : 0.0) / (kWeightsAreSmallerBy * kWeightsAreSmallerBy * kWeightsCompress);
+  for (const std::size_t i : shown) pixels_at_one += pictures * data.photographs[i].height / data.photographs[i].width;
   constexpr double kLikelyBytesPerPixel = 1.0;
   double width = std::min<double>(options.max_picture_width, std::sqrt(static_cast<double>(bytes_for_pictures) / (kLikelyBytesPerPixel * std::max(1e-9, pixels_at_one))));
   for (;;) {
@@ -236,6 +253,7 @@ ReportResult write_report(const RunFolder& folder, Reporter& report, const Repor
   data.lights = read_json_object(folder.lights());
   read_left_out(data);
   read_lights(data);
+  read_weights(folder, data);
   data.photographs = used_photographs(data, folder.project());
   data.scales.white = choose_white(folder, data);
   measure_all(folder, data, report);

@@ -1,10 +1,13 @@
 /// Everything the report says, gathered once and then written as JSON and as HTML. For .cpp files only.
 #pragma once
+#include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "tools/report_json.h"
 #include "tools/report_photo.h"
+#include "tools/report_weights.h"
 #include "tools/status.h"
 
 namespace chiaro::tools {
@@ -14,6 +17,7 @@ struct ReportedPhotograph {
   int width = 0, height = 0;
   PhotoMeasures measures;
   std::vector<ReportPicture> pictures;  ///< empty where it is not shown
+  std::vector<ReportPicture> weights;   ///< what its pixels count in the blend, see draw_weights()
 };
 
 struct LeftOut {
@@ -38,6 +42,8 @@ struct ReportData {
   bool solved_lights = true;            ///< false: solve.method = "none"
   std::vector<ReportedPhotograph> photographs;
   std::vector<ReportedLight> found;
+  std::optional<blend::WindowOptions> weights;      ///< of the blend; nullopt for runs of before they were recorded
+  std::map<std::string, stream::Camera> cameras;    ///< by key, of the photographs in the blend
   std::vector<LeftOut> left_out;
   std::vector<std::string> notes;
   PictureScales scales;

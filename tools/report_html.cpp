@@ -34,6 +34,7 @@ th.word,td.word{text-align:left}
 td.long{min-width:20em;max-width:48em}
 section.photograph{background:var(--panel);border-radius:6px;padding:14px 16px;margin:14px 0}
 .pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,400px),1fr));gap:14px;margin-top:10px}
+.pictures.small{grid-template-columns:repeat(auto-fill,minmax(min(100%,240px),1fr))}
 figure{margin:0}
 figure img{display:block;width:100%;height:auto;background:#464646;image-rendering:auto}
 figure.small-source img{image-rendering:pixelated}
@@ -142,6 +143,7 @@ void tiles(Page& page, const ReportData& d) {
   page.open("div", "class=\"tiles\"");
   tile(page, counted(d.count("points_in")), "points read");
   tile(page, counted(d.count("points_out")), "points exported");
+  if (const std::uint64_t n = d.count("points_inserted")) tile(page, counted(n), "points inserted between them");
   tile(page, percent(d.coverage()), concat("of the points were seen and have ", d.solved_lights ? "an albedo" : "a colour"));
   tile(page, counted(d.count("points_unseen")), "points no photograph saw well");
   tile(page, concat(d.photographs.size(), " of ", d.photographs.size() + d.photographs_left_out()), "photographs used");
@@ -272,6 +274,11 @@ void how_to_read(Page& page, const ReportData& d) {
     say("Direct, indirect, ambient", "Which share of the light at each place came straight from the flash, from the flash by way of other surfaces, and from the surroundings. The three add up to "
                                      "100 %. Each has its own scale, written below it.");
   say("Coverage", concat("Grey: how much of each pixel the cloud covers; brighter is more. Orange: within ", number(d.scales.edge_px), " pixels of an edge in depth, where a photograph counts less."));
+  if (d.weights)
+    say("What its pixels count in the blend", concat("One picture for each criterion, all on one scale from 0 to 100 %; bright is good, black pixels are not used. Resolution and the weight, which is the product of all, are "
+                                                     "ratios w, drawn as w / (1 + w): half of the scale is a pixel of the typical size (", number(static_cast<double>(d.weights->reference_footprint)),
+                                                     " units of the project on the surface) against which nothing speaks. Only ratios between photographs of a point matter. There is no criterion for focus: ",
+                                                     "what aperture and distance the lens was set to is not known."));
   say("Chequered grey", "No value: outside the mask, not on the cloud, saturated, or too dark to tell; in the prediction also where no photograph sees the surface well enough.");
   page.close("dl");
 }
@@ -294,8 +301,13 @@ Caption caption_of(const std::string& kind, const ReportData& d, const PhotoMeas
   return {"Coverage and edges", concat(percent(share(m.on_cloud, m.usable)), " of the usable pixels meet the cloud")};
 }
 
-void figure(Page& page, const ReportPicture& picture, const ReportedPhotograph& p, const ReportData& d) {
-  const Caption caption = caption_of(picture.kind, d, p.measures);
+Caption caption_of_weight(const std::string& name) {
+  for (const blend::Criterion& c : blend::kCriteria)
+    if (c.name == name) return {name, concat("bright: ", c.bright), 1};
+  return {name, "all of them multiplied; bright: counts much", 1};
+}
+
+void figure(Page& page, const ReportPicture& picture, const ReportedPhotograph& p, const Caption& caption) {
   page.open("figure", picture.width < 160 ? "class=\"small-source\"" : "");
   page.raw(concat("<img width=\"", picture.width, "\" height=\"", picture.height, "\" alt=\"")).text(concat(caption.title, ", ", p.key)).raw("\" src=\"data:image/png;base64,");
   page.raw(base64(picture.png)).raw("\">\n");
@@ -317,8 +329,14 @@ void pictures(Page& page, const ReportData& d) {
                         " solved, ", counted(p.measures.predicted), " predicted."),
                  "class=\"soft\"");
     page.open("div", "class=\"pictures\"");
-    for (const ReportPicture& picture : p.pictures) figure(page, picture, p, d);
-    page.close("div").close("section");
+    for (const ReportPicture& picture : p.pictures) figure(page, picture, p, caption_of(picture.kind, d, p.measures));
+    page.close("div");
+    if (!p.weights.empty()) {
+      page.open("details").element("summary", "What its pixels count in the blend").open("div", "class=\"pictures small\"");
+      for (const ReportPicture& picture : p.weights) figure(page, picture, p, caption_of_weight(picture.kind));
+      page.close("div").close("details");
+    }
+    page.close("section");
   }
 }
 

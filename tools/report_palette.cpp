@@ -89,6 +89,25 @@ std::string png_indexed(int width, int height, std::span<const std::uint8_t> ind
   return encode(width, height, PNG_COLOR_TYPE_PALETTE, indices.data(), static_cast<std::size_t>(width), colours.data(), static_cast<int>(colours.size()));
 }
 
+std::string png_scale(int width, int height, std::span<const double> values, bool grey) {
+  require_size(width, height, values.size());
+  constexpr int kColours = 254;   // the last two are those of no value
+  std::vector<Rgb8> palette;
+  for (int i = 0; i < kColours; ++i) {
+    const auto v = static_cast<std::uint8_t>(i * 255 / (kColours - 1));
+    palette.push_back(grey ? Rgb8{v, v, v} : cubehelix(i / (kColours - 1.0)));
+  }
+  palette.push_back(no_value(0, 0));
+  palette.push_back(no_value(8, 0));
+  std::vector<std::uint8_t> indices(values.size());
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    const int x = static_cast<int>(i % static_cast<std::size_t>(width)), y = static_cast<int>(i / static_cast<std::size_t>(width));
+    if (!std::isnan(values[i])) indices[i] = static_cast<std::uint8_t>(std::clamp(values[i], 0.0, 1.0) * (kColours - 1) + 0.5);
+    else indices[i] = no_value(x, y) == palette[kColours] ? kColours : kColours + 1;
+  }
+  return png_indexed(width, height, indices, palette);
+}
+
 std::string base64(std::string_view bytes) {
   static const char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
   std::string out;

@@ -24,6 +24,9 @@ std::string png_rgb(int width, int height, std::span<const Rgb8> pixels);
 /// PNG of one byte a pixel that chooses from `palette` (at most 256 colours, every index below its size).
 std::string png_indexed(int width, int height, std::span<const std::uint8_t> indices, std::span<const Rgb8> palette);
 
+/// One value a pixel, 0 .. 1, through the colours of cubehelix() or from black to white; NaN: no_value().
+std::string png_scale(int width, int height, std::span<const double> values, bool grey);
+
 /// RFC 4648 with padding.
 std::string base64(std::string_view bytes);
 

@@ -342,19 +342,10 @@ ReportPicture colour_picture(const char* kind, const Shrunk& s, double white) {
   return {kind, s.out_width, s.out_height, png_rgb(s.out_width, s.out_height, pixels)};
 }
 
-/// One value a pixel through 254 colours; the last two are those of no value.
 ReportPicture scale_picture(const char* kind, const Shrunk& s, double range, bool grey) {
-  std::vector<Rgb8> palette;
-  for (int i = 0; i < 254; ++i) {
-    const auto v = static_cast<std::uint8_t>(i * 255 / 253);
-    palette.push_back(grey ? Rgb8{v, v, v} : cubehelix(i / 253.0));
-  }
-  palette.push_back(no_value(0, 0));
-  palette.push_back(no_value(8, 0));
-  std::vector<std::uint8_t> indices(s.size());
-  for (std::size_t o = 0; o < s.size(); ++o)
-    indices[o] = s.has(o) ? static_cast<std::uint8_t>(std::clamp(s.at(o, 0) / range, 0.0, 1.0) * 253 + 0.5) : (s.nothing(o) == palette[254] ? 254 : 255);
-  return {kind, s.out_width, s.out_height, png_indexed(s.out_width, s.out_height, indices, palette)};
+  std::vector<double> values(s.size());
+  for (std::size_t o = 0; o < s.size(); ++o) values[o] = s.has(o) ? s.at(o, 0) / range : NAN;
+  return {kind, s.out_width, s.out_height, png_scale(s.out_width, s.out_height, values, grey)};
 }
 
 /// Grey: how much of the pixel the cloud covers; orange: near a depth edge.

@@ -11,6 +11,7 @@ struct RunFolder {
   std::filesystem::path store() const { return root / "store.chiaro"; }
   /// Of the task that writes a layer; the default one has the plain name.
   static std::string blend_task(const std::string& layer) { return layer == "albedo" ? "blend" : "blend/" + layer; }
+  static std::string refine_task(const std::string& layer) { return layer == "albedo" ? "refine" : "refine/" + layer; }
   std::filesystem::path lights() const { return root / "lights.json"; }
   std::filesystem::path record() const { return root / "run.json"; }
   std::filesystem::path report() const { return root / "report"; }

@@ -11,6 +11,7 @@
 #include "tools/camera_record.h"
 #include "tools/export_points.h"
 #include "tools/run_context_json.h"
+#include "tools/run_refine_json.h"
 
 namespace chiaro::tools {
 namespace {
@@ -31,7 +32,8 @@ class LayerStages {
 
   void blend(const stream::Store& store) {
     std::vector<blend::BlendPhotograph> photographs;
-    Hasher h = keyed("blend 5");
+    blend::BlendOptions options;
+    Hasher h = keyed("blend 6");
     h.add(store.manifest().key);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {
@@ -39,18 +41,18 @@ class LayerStages {
         photographs.push_back({p.input->key, p.camera, run_.folder.gbuffer(p.input->key), run_.folder.albedo(p.input->key), run_.folder.radiance(p.input->key)});
         h.add(p.albedo_key).add(p.input->key);
       }
-    h.add(std::uint64_t{run_.project.blend.reject}).add(static_cast<std::uint64_t>(run_.project.blend.gain)).add(std::uint64_t{run_.project.blend.align});
+    h.add(std::uint64_t{run_.project.blend.reject}).add(static_cast<std::uint64_t>(run_.project.blend.gain)).add(std::uint64_t{run_.project.blend.align}).add(std::uint64_t{denoises()});
     run_.record.count("photographs_used", photographs.size());
     layer_key_ = h.hex();
     const std::string layer = run_.project.blend.layer;
     prepare_kept(layer);
+    options.layer = layer;
+    options.reject = run_.project.blend.reject;
+    options.align = run_.project.blend.align;
+    options.denoise = denoises();
+    options.gain = blend_gain(run_.project.blend.gain);
     const Json info = run_.task(RunFolder::blend_task(layer), layer_key_, {run_.folder.store() / "layers" / layer}, [&] {
-      blend::BlendOptions options;
-      options.layer = layer;
       if (run_.project.blend.keep) options.keep = run_.folder.kept(layer);
-      options.reject = run_.project.blend.reject;
-      options.align = run_.project.blend.align;
-      options.gain = blend_gain(run_.project.blend.gain);
       options.provenance_json = Json{{"method", name_of(run_.project.method)}, {"key", layer_key_}, {"photographs", photographs.size()}, {"acquisitions", acquisitions()}}.dump();
       make_folder(run_.folder.scratch());
       const blend::BlendStats s = blend::blend(store, photographs, options, run_.folder.scratch(), run_.budget, run_.report);
@@ -64,6 +66,8 @@ class LayerStages {
     run_.record.set("blending", info.dump());
     record_cameras(info["photographs"]);
     record_layers(store);
+    options.keep.clear();
+    inserted_key_ = refine_run_layer(run_, store, photographs, std::move(options), {layer_key_, info});
   }
 
   void residuals(const stream::Store& store) {
@@ -85,6 +89,7 @@ class LayerStages {
     const std::filesystem::path file = run_.folder.root / e.file;
     Hasher h = keyed("export");
     h.add(layer_key_).add(e.file).add(std::uint64_t{e.fill});
+    if (!inserted_key_.empty()) h.add(inserted_key_);
     const Json info = run_.task("export/" + e.file, h.hex(), {file}, [&] {
       ExportOptions options;
       options.file = file;
@@ -92,12 +97,15 @@ class LayerStages {
       options.fill = e.fill;
       make_folder(run_.folder.scratch());
       const ExportStats s = export_points(store, options, run_.folder.scratch(), run_.budget, run_.report);
-      return Json{{"points", s.points}, {"points_unseen", s.points_unseen}, {"points_filled", s.points_filled}, {"positions_from_store", s.positions_from_store}};
+      return Json{{"points", s.points}, {"points_unseen", s.points_unseen}, {"points_filled", s.points_filled}, {"points_inserted", s.points_inserted}, {"positions_from_store", s.positions_from_store}};
     });
     run_.record.count("points_out", info["points"]);
   }
 
  private:
+  /// The other methods are there to be compared with, as they are; their sigma is no measure of what is noise.
+  bool denoises() const { return run_.project.blend.denoise && (run_.project.method == SolveMethod::kJoint || run_.project.method == SolveMethod::kSingle); }
+
   /// A layer that was made without its sums is made again with them, where they are wanted; where they are not, they go.
   void prepare_kept(const std::string& layer) const {
     std::error_code code;
@@ -145,7 +153,7 @@ class LayerStages {
 
   RunContext& run_;
   const std::vector<Shoot>& shoots_;
-  std::string layer_key_;
+  std::string layer_key_, inserted_key_;
 };
 
 }  // namespace

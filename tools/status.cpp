@@ -85,7 +85,9 @@ void add_tasks(TaskList& list, const std::vector<Shoot>& shoots, const std::stri
     for (const auto& key : shoot.photographs) list.add(method == "none" ? "colour" : "albedo", key, true);
   }
   const std::string layer = text_of(member(member(project, "blend"), "layer"), "albedo");
-  list.add("blend", RunFolder::blend_task(layer) == "blend" ? "" : layer);
+  const std::string item = RunFolder::blend_task(layer) == "blend" ? "" : layer;
+  list.add("blend", item);
+  if (text_of(member(member(project, "blend"), "refine"), "none") != "none") list.add("refine", item);
   for (const Shoot& shoot : shoots)
     for (const auto& key : shoot.photographs) list.add("residual", key, true);
   for (const Json& e : member(project, "export")) list.add("export", text_of(member(e, "file")));

@@ -51,7 +51,7 @@ LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_
     b.z[lane] = static_cast<std::uint16_t>(q[2]);
     b.normal_u[lane] = r.normal[0];
     b.normal_v[lane] = r.normal[1];
-    b.flags[lane] = padding ? SurfelBlock::kPadding : r.has_normal() ? SurfelBlock::kOriented : SurfelBlock::kEstimated;
+    b.flags[lane] = padding ? SurfelBlock::kPadding : r.has_normal() ? (rules.normals_have_sign ? SurfelBlock::kOriented : std::uint8_t{0}) : SurfelBlock::kEstimated;
     if (padding) continue;
     for (std::size_t a = 0; a < 3; ++a) {
       leaf.entry.tight_min[a] = std::min(leaf.entry.tight_min[a], static_cast<std::uint16_t>(q[a]));

@@ -15,6 +15,7 @@ struct LeafRules {
   double edge = 1;       ///< of the root
   double max_step = 1;   ///< a leaf's step is at most this: an isolated point is stored as finely as its neighbourhood would be
   bool guess_surfels = false;  ///< normals and radii from the leaf itself, see NormalSource::kNone
+  bool normals_have_sign = true;  ///< those that the points bring, see NormalSource::kAxes
 };
 
 struct LeafFiles {

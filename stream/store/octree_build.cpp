@@ -147,7 +147,7 @@ class Builder {
     m.points_rejected = rejected;
     m.points_stored = grid.points();
     if (m.points_stored == 0) throw Error(no_point_message());
-    if (options_.normals == NormalSource::kFile && one_lacks_normals) throw Error("normals = \"file\", but a cloud has no normals: use \"auto\" or \"estimate\"");
+    if ((options_.normals == NormalSource::kFile || options_.normals == NormalSource::kAxes) && one_lacks_normals) throw Error("normals = \"file\", but a cloud has no normals: use \"auto\" or \"estimate\"");
     m.normals_from_file = options_.normals != NormalSource::kEstimate && all_have_normals;
     has_normals_ = options_.normals != NormalSource::kEstimate && any_has_normals;
     bounds_extent_ = grid.bounds().max - grid.bounds().min;
@@ -283,7 +283,7 @@ class Builder {
       File spill(part_ / "spill.bin", File::Mode::kReadWrite);
       File geometry(geometry_path(part_), File::Mode::kCreate), source(source_path(part_), File::Mode::kCreate), colour;
       if (b_.has_colour) colour = File(part_ / "colour.bin", File::Mode::kCreate);
-      const LeafRules rules{options_.chunk_surfels, b_.root.edge(), b_.typical_spacing / 16, options_.normals == NormalSource::kNone};
+      const LeafRules rules{options_.chunk_surfels, b_.root.edge(), b_.typical_spacing / 16, options_.normals == NormalSource::kNone, options_.normals != NormalSource::kAxes};
       report_.begin("sort points", b_.manifest.points_stored, "points");
       const auto leaf_entries = build_leaves(spill, b_.spill_bytes, b_.root, b_.partitions, rules, {geometry, source, b_.has_colour ? &colour : nullptr}, budget_, report_);
       report_.end();

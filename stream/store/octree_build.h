@@ -15,8 +15,8 @@
 namespace chiaro::stream {
 
 /// kNone: no neighbours are looked for. Normals that the file does not bring are those of planes through runs of 16 points, and all radii of a leaf are 1.5 times
-/// its mean spacing: a preview, made several times as fast.
-enum class NormalSource { kAuto, kFile, kEstimate, kNone };
+/// its mean spacing: a preview, made several times as fast. kAxes: as kFile, but nobody knows which side is the outer one.
+enum class NormalSource { kAuto, kFile, kEstimate, kNone, kAxes };
 
 struct BuildOptions {
   std::string unit = "m";

@@ -11,12 +11,18 @@ Single photographs are read at the points bilinearly, from the run's own working
              Borders between photographs lie where surfaces and shadows have theirs: "single photographs" shows what that alone amounts to, as both points
              of a step are then of one photograph and no blending takes part
   sharpness  how much of truth's steps between neighbouring points is there (slope of steps against truth's), points seen by two photographs or more
+  edges      with --band: of the upright edges between two paints in a band of walls that stand along x or y. They are found in the truth. All points
+             within 3 cm of them, by their distance, make up one edge that is sampled far finer than the points lie; an error function is fitted to it.
+             MTF50: the frequency, in periods a unit of length, at which that edge keeps half of its contrast. The truth's own edges are soft too (paint ends
+             over some millimetres, and where an edge lies is known to about half of one): its row says how much of the width that is
 """
 import argparse
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
+from scipy.special import erf
 
 TYPES = {0: "<f4", 1: "<u4", 2: "<u2", 3: "u1"}
 
@@ -140,8 +146,66 @@ def sharpness(albedo, truth, i, j):
     return np.sum(steps * true) / np.sum(true * true)
 
 
+REACH = 0.03   # on both sides of an edge
+
+
+def edges_of_band(points, truth, normals, chosen):
+    """Indices of the points beside the upright edges between bright and dark paint, and their distances from these, positive on the bright side."""
+    index, distance = [], []
+    for axis in (0, 1):
+        wall = chosen & (np.abs(normals[:, axis]) > 0.97)
+        if wall.sum() < 100:
+            continue
+        wall &= np.abs(points[:, axis] - np.median(points[wall, axis])) < 0.03
+        own = np.nonzero(wall)[0]
+        along, green = points[own, 1 - axis], truth[own, 1]
+        bright = green > (np.quantile(green, 0.1) + np.quantile(green, 0.9)) / 2
+        places = np.arange(along.min() + REACH, along.max() - REACH, 3e-4)
+        for rises in (True, False):
+            wrong = np.array([np.mean(((along[near] > p) == rises) != bright[near]) if (near := np.abs(along - p) < REACH).sum() > 25 else 1 for p in places])
+            at = 0
+            while at < len(places):
+                if wrong[at] >= 0.12:
+                    at += 1
+                    continue
+                end = np.searchsorted(places, places[at] + REACH)
+                least = wrong[at:end].min()
+                if least < 0.06:
+                    place = np.mean(places[at:end][wrong[at:end] == least])
+                    near = np.abs(along - place) < REACH
+                    index.append(own[near])
+                    distance.append((along[near] - place) * (1 if rises else -1))
+                at = end
+    return (np.concatenate(index), np.concatenate(distance), len(index)) if index else (np.zeros(0, int), np.zeros(0), 0)
+
+
+def width_of_edges(albedo, index, distance):
+    """Standard deviation of the blur of a step, same unit as the points."""
+    value = albedo[index].mean(1)
+    low, high = np.median(value[distance < -REACH / 2]), np.median(value[distance > REACH / 2])
+    off = lambda q: 0.5 + 0.5 * erf((distance - q[1]) / (np.sqrt(2) * q[0])) - (value - low) / (high - low)
+    return abs(least_squares(off, [0.1 * REACH, 0], loss="soft_l1", f_scale=0.1).x[0])
+
+
+def mtf50(width):
+    """Of a Gaussian of that width."""
+    return np.sqrt(2 * np.log(2)) / (2 * np.pi * width)
+
+
+def print_edges(f, mean, best, chosen):
+    index, distance, count = edges_of_band(f.points, f.truth, np.load(f.scene / "truth/normal.npy").astype(float), chosen)
+    if count == 0:
+        return print("\nno upright edges between two paints in the band")
+    truth, sharpest = width_of_edges(f.truth, index, distance), width_of_edges(best, index, distance)
+    print(f"\n{count} edges, {len(index)} points\n\n| edges of the band | width (sd), mm | MTF50, 1/m | of the best photograph's | blur besides the truth's own (sd), mm |\n| --- | ---: | ---: | ---: | ---: |")
+    for name, albedo in (("truth", f.truth), ("chiaro", f.blend), ("weighted mean", mean), ("best photograph", best)):
+        width = width_of_edges(albedo, index, distance)
+        print(f"| {name} | {1000 * width:.2f} | {mtf50(width):.1f} | {sharpest / width:.3f} | {1000 * np.sqrt(max(0, width**2 - truth**2)):.2f} |")
+
+
 class Figures:
     def __init__(self, scene, run):
+        self.scene = scene
         points = ply(scene / "cloud.ply")
         self.points = np.stack([points[c] for c in "xyz"], -1).astype(float)
         self.truth = np.load(scene / "truth/albedo.npy").astype(float)
@@ -195,6 +259,8 @@ def main():
         row = f"| {name} | {mean_median(relative(albedo[overlap], f.truth[overlap]))} | {seam(albedo, f.truth, sees, i, j):.3f} | {sharpness(albedo, f.truth, k, m):.4f} |"
         print(row + (f" {sharpness(albedo, f.truth, k[banded], m[banded]):.4f} |" if banded is not None else ""))
     print(f"| single photographs | | {seam_of_singles(f.single, f.truth, sees, i, j):.3f} | |" + (" |" if banded is not None else ""))
+    if words.band is not None:
+        print_edges(f, mean, best, overlap & (height >= words.band[0]) & (height <= words.band[1]))
     print(f"\npoints by number of photographs that see them: {np.bincount(sees.sum(1))[1:].tolist()}")
 
 

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <set>
 
 #include "blend/view_weights.h"
 #include "stream/base/parallel.h"
@@ -151,6 +152,21 @@ TEST(ViewWeights, EachCriterionPrefersTheBetterPixelAndSurvivesBadInput) {
   EXPECT_GT(incidence_weight(0.01f), incidence_weight(0.3f));
   EXPECT_EQ(coverage_weight(0.5f), 0);
   EXPECT_EQ(coverage_weight(1), 1);
+}
+
+TEST(ViewWeights, TheProductHoldsEachCriterionOnce) {
+  const WeightScale scale{.footprint = 0.5f, .border_px = 12};
+  const PixelEvidence pixel{.footprint = 0.4f, .sigma = 0.03f, .spread = 0.05f, .coverage = 0.97f, .cosv = 0.6f, .edge_px = 7, .mask_px = 5, .saturated_px = 2};
+  float product = 1;
+  std::set<std::string_view> names;
+  for (const Criterion& c : kCriteria) {
+    const float worth = c.worth(pixel, scale);
+    EXPECT_TRUE(worth > 0 && (c.is_ratio || worth < 1)) << c.name;   // each has something to say here
+    product *= worth;
+    names.insert(c.name);
+  }
+  EXPECT_EQ(names.size(), kCriteria.size());
+  EXPECT_FLOAT_EQ(pixel_quality(pixel, scale) * surroundings_quality(pixel, scale), product);
 }
 
 }  // namespace

@@ -183,6 +183,34 @@ TEST(Blend, AWindowsPixelsDoNotDependOnWhereItBegins) {
   }
 }
 
+TEST(Blend, EvidenceOfAPixelMultipliesToItsWeight) {
+  const Workplace w(plane_scene());
+  ShotOptions shot;
+  shot.mask = [](int x, int y) -> std::uint8_t { return x > 120 ? 0 : y > 100 ? 1 | 2 : 1; };
+  const BlendPhotograph a = w.photograph("a", Vec3d(0.1, 0.5, 0.5), Vec3d(0.3, 0.5, 0), shot);
+  const PhotographRasters rasters(a.camera.lens, a.gbuffer, a.albedo, a.radiance);
+  const WindowOptions options{.low_radius = 0.05f, .reference_footprint = 0.005f, .border_px = 12};
+  const int halo = halo_rows(options, footprints(rasters).smallest());
+  const PhotoWindow window = load_window(rasters, a.camera, 0, 120, 1, halo, options);
+  for (const int step : {1, 3}) {
+    std::vector<SeenEvidence> all;
+    for (const int y0 : {0, 30, 93})
+      for (const SeenEvidence& one : load_evidence(rasters, a.camera, y0, y0 == 0 ? 30 : y0 == 30 ? 93 : 120, step, halo, options)) all.push_back(one);
+    const int across = (160 + step - 1) / step;
+    ASSERT_EQ(all.size(), static_cast<std::size_t>(across * (120 / step)));
+    std::size_t read = 0;
+    for (std::size_t i = 0; i < all.size(); ++i) {
+      const int x = static_cast<int>(i) % across * step, y = static_cast<int>(i) / across * step;
+      const float weight = all[i].is_read ? pixel_quality(all[i].evidence, options.scale()) * surroundings_quality(all[i].evidence, options.scale()) : 0;
+      ASSERT_EQ(weight, window.at(x, y)->weight) << x << " " << y;
+      ASSERT_EQ(all[i].is_on_surface, window.at(x, y)->depth > 0);
+      read += all[i].is_read;
+    }
+    EXPECT_GT(read, all.size() / 4);
+    EXPECT_LT(read, all.size());
+  }
+}
+
 TEST(Blend, OrderThreadsAndBudgetDoNotChangeTheBytes) {
   const Workplace w(plane_scene());
   std::vector<BlendPhotograph> photos{w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.3, 0.5, 0)), w.photograph("b", Vec3d(0.7, 0.4, 0.5), Vec3d(0.7, 0.5, 0), gained(1.1f)),
@@ -256,6 +284,30 @@ TEST(Blend, SigmaThatIsZeroOrNotANumberDoesNoHarm) {
         ASSERT_NEAR(s.sigma, sigma == 0 ? 0.0f : 1.0f, 1e-5f);
       }
   }
+}
+
+TEST(Blend, ADiskWithoutRoomForItsStateIsRefusedBeforeAnythingIsWritten) {
+  const Workplace w(plane_scene());
+  const std::vector<BlendPhotograph> photos{w.photograph("a", Vec3d(0.4, 0.5, 0.7), Vec3d(0.5, 0.5, 0)), w.photograph("b", Vec3d(0.6, 0.5, 0.7), Vec3d(0.5, 0.5, 0))};
+  const std::uint64_t needed = w.run(photos).scratch_bytes;   // and the layer besides
+  std::filesystem::remove_all(w.folder.path() / "scratch");
+  BlendOptions options;
+  options.layer = "other";
+  options.free_bytes = [&](const std::filesystem::path& folder) {
+    EXPECT_EQ(folder, w.folder.path() / "scratch");
+    return needed;
+  };
+  MemoryBudget budget(kPlenty);
+  try {
+    blend(*w.store, photos, options, w.folder.path() / "scratch", budget, silent_reporter());
+    FAIL() << "no error";
+  } catch (const Error& e) {
+    for (const char* words : {"scratch: no space: blending needs ", "the disk has "}) EXPECT_NE(std::string(e.what()).find(words), std::string::npos) << e.what();
+  }
+  EXPECT_TRUE(std::filesystem::is_empty(w.folder.path() / "scratch"));
+  EXPECT_FALSE(std::filesystem::exists(w.folder.path() / "store.chiaro/layers/other"));
+  options.free_bytes = [&](const std::filesystem::path&) { return 2 * needed; };
+  EXPECT_GT(w.run(photos, options).points_seen, 0u);
 }
 
 TEST(Blend, RastersOfAnotherSizeOrWithoutAPlaneAreNamed) {

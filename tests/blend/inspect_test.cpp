@@ -76,6 +76,29 @@ TEST(Inspect, SurfacesWithoutDetailHaveNoShift) {
   EXPECT_FALSE(conclude(InspectionCounts(kWidth, kHeight)).shift_px);
 }
 
+/// Colours that change over a hundred pixels, and what two photographs do not have in common changes as slowly.
+TEST(Inspect, APeakThatIsFlatIsNoShift) {
+  const auto smooth = [](double x, double y) { return static_cast<float>(0.1 * std::sin(0.05 * x + 0.02 * y) + 0.1 * std::cos(0.06 * y)); };
+  PhotoWindow window = window_of(0, 0);
+  for (int y = 0; y < kHeight; ++y)
+    for (int x = 0; x < kWidth; ++x)
+      window.pixels[static_cast<std::size_t>(y * kWidth + x)].high = Vec3f::Constant(0.5f * (smooth(x + 0.5, y + 0.5) + 0.08f * static_cast<float>(std::sin(0.09 * x + 0.5) * std::cos(0.11 * y))));
+  InspectionCounts counts(kWidth, kHeight);
+  const std::vector<Vec3f> no_gains(4, Vec3f::Zero());
+  for (std::uint64_t i = 0; i < 4000; ++i) {
+    const auto u = uniform01x4(22, Purpose::kTest, i, 0);
+    const Vec2d pixel(static_cast<double>(u[0]) * kWidth, static_cast<double>(u[1]) * kHeight);
+    Ballot ballot;
+    for (std::uint16_t k = 0; k < 4; ++k) cast_vote(ballot, k, {0, 1, 0.01f, 0, Vec3f::Constant(0.5f), Vec3f::Constant(0.5f * smooth(pixel.x(), pixel.y()))}, 0.5f);
+    inspect_reading(ballot, *majority_of(ballot, no_gains, 0.05f), 0, log_value(Vec3f::Constant(0.5f), 0.5f), 0.05f, pixel, window, counts);
+  }
+  const Inspection i = conclude(counts);
+  EXPECT_GT(i.correlation, 0.8f);
+  EXPECT_GT(i.shift_sd_px, 0.2f);
+  EXPECT_FALSE(i.shift_px);
+  EXPECT_LT(conclude(inspected(window_of(2, 0), agrees)).shift_sd_px, 0.05f);
+}
+
 TEST(Inspect, NamesThePartThatShowsSomethingElse) {
   const auto disc = [](const Vec2d& p) { return (p - Vec2d(80, 30)).norm() < 18 ? 0.1f : 0.5f; };
   const Inspection i = conclude(inspected(window_of(0, 0), disc));

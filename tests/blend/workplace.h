@@ -47,11 +47,11 @@ struct Seen {
 /// A store of the scene's points and a folder for its photographs.
 class Workplace {
  public:
-  explicit Workplace(AnalyticScene scene_, bool oriented = true) : scene(std::move(scene_)) {
+  explicit Workplace(AnalyticScene scene_, bool oriented = true, std::uint32_t chunk_surfels = 1000) : scene(std::move(scene_)) {
     write_scene_ply(folder.path() / "cloud.ply", scene.points());
     MemoryBudget budget(kPlenty);
     stream::BuildOptions build;
-    build.chunk_surfels = 1000;
+    build.chunk_surfels = chunk_surfels;
     if (!oriented) build.normals = stream::NormalSource::kEstimate;
     stream::build_store({folder.path() / "cloud.ply"}, folder.path() / "store.chiaro", build, budget, silent_reporter());
     store.emplace(folder.path() / "store.chiaro");

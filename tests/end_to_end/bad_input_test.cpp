@@ -78,7 +78,7 @@ class Unlit : public BadInput, public testing::WithParamInterface<int> {
     const AlbedoError e = error_of(s);
     EXPECT_GT(e.seen, s.positions.size() / 5);
     EXPECT_LE(e.scaled, 0.02);
-    EXPECT_GT(median_sigma(), 0.3);
+    EXPECT_GT(median_sigma(), 0.25);   // of the scale: a guess that is 35 % wide, in the ambient light it began with
     EXPECT_LE(std::fabs(std::log(e.factor)), 2 * median_sigma());
   }
 };

@@ -61,6 +61,17 @@ TEST_P(OnePhotograph, OfTwoPlanesGivesTheirAlbedoUpToScale) {
 INSTANTIATE_TEST_SUITE_P(Lights, OnePhotograph, testing::Values("project.toml", "project_ambient.toml", "project_direct.toml", "project_interreflected.toml"),
                          [](const auto& i) { return std::string(i.param).substr(0, std::string(i.param).find('.')); });
 
+/// Mottling hides what a missing interreflection does to the residuals: the evidence is in their sum.
+class WithoutInterreflections : public Scenes, public testing::WithParamInterface<const char*> {};
+TEST_P(WithoutInterreflections, ATexturedPhotographIsRecognised) {
+  CHIARO_NEED_SCENE(folder, "vplanes_textured");
+  const AlbedoError e = run_scene(folder, GetParam());
+  EXPECT_LE(e.absolute, 0.1);
+  EXPECT_LE(e.scaled, 0.03);
+}
+INSTANTIATE_TEST_SUITE_P(Lights, WithoutInterreflections, testing::Values("project_ambient.toml", "project_direct.toml"),
+                         [](const auto& i) { return std::string(i.param).substr(0, std::string(i.param).find('.')); });
+
 TEST_F(Scenes, TheTowerComesOutAbsolutely) {
   CHIARO_NEED_SCENE(folder, "tower");
   const AlbedoError e = run_scene(folder, "project.toml", {"--memory", "512MiB"});

@@ -10,6 +10,7 @@
 #include "tools/metrics.h"
 #include "tools/report_palette.h"
 #include "tools/report_photo.h"
+#include "tools/report_weights.h"
 #include "tools/table.h"
 
 namespace chiaro::tools {
@@ -287,6 +288,53 @@ TEST(Report, ShrinksPicturesWithoutTurningOrClippingThem) {
   EXPECT_NEAR(stream::linear_from_srgb(shown.at(0, 0, 0)), 0.015, 0.01);
   EXPECT_NEAR(stream::linear_from_srgb(shown.at(0, 14, 1)), 0.975, 0.02);   // green grows downwards
   EXPECT_NEAR(stream::linear_from_srgb(shown.at(24, 0, 1)), 0.025, 0.02);
+}
+
+stream::Image read_png(const RunFixture& run, const ReportPicture& picture) {
+  write_text(run.scratch.path() / "p.png", picture.png);
+  return stream::read_image(run.scratch.path() / "p.png");
+}
+
+TEST(Report, ShowsWhatEachCriterionSaysOfThePixels) {
+  RunFixture run;
+  run.weighed = true;
+  run.write();
+  write_report(run.folder, silent_reporter());
+  const std::string page = page_of(run);
+  EXPECT_EQ(fault_of_html(page), "");
+  EXPECT_EQ(count_of(page, "<img "), 2u * (9u + blend::kCriteria.size() + 1));
+  for (const blend::Criterion& c : blend::kCriteria) {
+    EXPECT_EQ(count_of(page, concat("<b>", c.name, "</b>\nbright: ", c.bright)), 2u) << c.name;
+  }
+  EXPECT_THAT(page, HasSubstr("There is no criterion for focus"));
+}
+
+TEST(Report, DrawsWeightsWhereTheyBelong) {
+  RunFixture run;
+  run.weighed = true;
+  run.write();
+  const auto pictures = draw_weights(run.folder, run.camera("photo_00"), {.low_radius = 0.4f, .reference_footprint = 0.05f, .border_px = 12}, 20, silent_reporter());
+  ASSERT_EQ(pictures.size(), blend::kCriteria.size() + 1);
+  const auto find = [&](const std::string& name) {
+    const auto found = std::find_if(pictures.begin(), pictures.end(), [&](const ReportPicture& p) { return p.kind == name; });
+    EXPECT_NE(found, pictures.end()) << name;
+    return read_png(run, *found);
+  };
+  const auto shows = [](const stream::Image& image, int x, int y, double value) {
+    const Rgb8 colour = cubehelix(value);
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(image.at(x, y, c) * 255, colour[static_cast<std::size_t>(c)], 3) << x << ' ' << y << ' ' << c;
+  };
+  const stream::Image resolution = find("Resolution"), mask = find("Mask"), weight = find(kWeightProduct), confidence = find("Confidence");
+  ASSERT_EQ(resolution.width, 20);
+  ASSERT_EQ(resolution.height, 15);
+  shows(resolution, 3, 7, 0.8);      // four pixels on the area of a typical one: 4 / (1 + 4)
+  shows(resolution, 15, 7, 0.5);
+  shows(mask, 0, 7, 0);              // x = 0 is masked
+  shows(mask, 15, 7, 1);
+  shows(mask, 3, 7, static_cast<double>(blend::mask_weight(6, 12)));
+  shows(confidence, 15, 7, 0.5);     // sigma 2 %: half of the best
+  shows(weight, 15, 7, 1 / 3.0);     // a ratio of 1 / 2
+  shows(weight, 3, 7, 0);            // has no albedo
 }
 
 TEST(Report, StaysBelowItsSize) {

@@ -6,11 +6,13 @@
 #include <functional>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "stream/base/file.h"
 #include "stream/photo/image_io.h"
 #include "stream/photo/raster.h"
+#include "tools/camera_record.h"
 #include "tools/run_folder.h"
 
 namespace chiaro::tools {
@@ -25,6 +27,8 @@ struct RunFixture {
   /// Radiance of channel c at a pixel, and what the prediction leaves of it.
   std::function<float(int x, int y, int c)> photo = [](int, int, int) { return 0.5f; };
   std::function<float(int x, int y, int c)> residual = [](int, int, int) { return 0.05f; };
+  /// The planes, cameras and record that pictures of the weights are drawn from. Pixels in the left half are twice as fine as those in the right.
+  bool weighed = false;
   /// Pixels with an albedo.
   std::function<bool(int x, int y)> solved = [](int x, int) { return x >= 10; };
 
@@ -38,11 +42,29 @@ struct RunFixture {
     make_folder(folder.work());
     write_text(folder.project(), project.dump());
     write_text(folder.lights(), lights().dump());
-    write_text(folder.record(), record().dump());
+    Json whole = record();
+    if (weighed) {
+      whole["blending"]["weights"] = {{"footprint", 0.05}, {"low_radius", 0.4}, {"border_px", 12}};
+      std::vector<PhotographCamera> cameras;
+      for (const std::string& key : keys) cameras.push_back({"day1", camera(key), {}});
+      write_camera_record(folder.cameras(), cameras);
+    }
+    write_text(folder.record(), whole.dump());
     for (const char* task : {"ingest", "gather/day1", "light/day1", "blend", "export/albedo.ply"}) mark(task, 2);
     for (const std::string& key : keys)
       for (const char* stage : {"develop/", "raycast/", "albedo/", "residual/"}) mark(stage + key, 0.5);
     write_text(folder.root / "albedo.ply", std::string(1000, 'p'));
+  }
+
+  stream::Camera camera(const std::string& key) const {
+    stream::Camera c;
+    c.photograph = key;
+    c.lens.width_px = width;
+    c.lens.height_px = height;
+    c.lens.fx = c.lens.fy = width;
+    c.lens.cx = width / 2.0;
+    c.lens.cy = height / 2.0;
+    return c;
   }
 
   void mark(std::string task, double seconds) const {
@@ -105,8 +127,23 @@ struct RunFixture {
     }
     using stream::PlaneType;
     stream::RasterWriter radiance(folder.radiance(key), width, height, {{"r", PlaneType::kF32}, {"g", PlaneType::kF32}, {"b", PlaneType::kF32}, {"mask", PlaneType::kU8}});
-    stream::RasterWriter gbuffer(folder.gbuffer(key), width, height, {{"coverage", PlaneType::kF32}, {"edge", PlaneType::kF32}});
-    stream::RasterWriter own_albedo(folder.albedo(key), width, height, {{"r", PlaneType::kF32}, {"g", PlaneType::kF32}, {"b", PlaneType::kF32}});
+    std::vector<stream::PlaneInfo> geometry{{"coverage", PlaneType::kF32}, {"edge", PlaneType::kF32}}, values{{"r", PlaneType::kF32}, {"g", PlaneType::kF32}, {"b", PlaneType::kF32}};
+    const std::vector<std::pair<const char*, float>> seen_from_the_front{{"depth", 2.0f}, {"nx", 0.0f}, {"ny", 0.0f}, {"nz", -1.0f}, {"radius", 0.05f}, {"cosv", 1.0f}, {"footprint", 0.05f}};
+    if (weighed) {
+      for (const auto& [name, value] : seen_from_the_front) geometry.push_back({name, PlaneType::kF32});
+      values.push_back({"sigma", PlaneType::kF32});
+    }
+    stream::RasterWriter gbuffer(folder.gbuffer(key), width, height, geometry);
+    stream::RasterWriter own_albedo(folder.albedo(key), width, height, values);
+    if (weighed) {
+      for (const auto& [name, value] : seen_from_the_front) {
+        std::vector<float> plane_of(n, value);
+        if (std::string_view(name) == "footprint")
+          for (std::size_t i = 0; i < n; ++i) plane_of[i] = static_cast<int>(i) % width < width / 2 ? 0.025f : 0.05f;
+        gbuffer.write_rows<float>(name, 0, plane_of);
+      }
+      own_albedo.write_rows<float>("sigma", 0, sigma);
+    }
     const char* names[] = {"r", "g", "b"};
     for (std::size_t c = 0; c < 3; ++c) {
       radiance.write_rows<float>(names[c], 0, plane[c]);
