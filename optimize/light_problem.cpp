@@ -22,6 +22,7 @@ constexpr double kSweepTolerance = 1e-5;
 constexpr double kPairInformation = 0.02;
 constexpr double kGuessSd = 0.35;   // of ln flash, around the guess that the brightest surfels reflect 80 %
 constexpr int kExposureRounds = 4;     ///< each one sees what the lights had taken for their own before
+constexpr double kVeryStrong = 10;     ///< of the criterion, for a richer sky: what it gains is small, and what it loses where it is wrong is not (Kass and Raftery, "Bayes factors", 1995)
 constexpr int kTrialIterations = 15;   ///< from a settled start: enough to compare models
 constexpr int kPlaceRounds = 5;
 constexpr double kPlaceChi2 = 1.5;     ///< the deviations are conservative: at most 0.7 on five scenes whose flash is where it is said to be; 1, 2 and 3 cm beside: 2.6, 8.6, 22
@@ -30,6 +31,7 @@ constexpr double kImproved = 0.98;     ///< of that deviation: 0.965 for 1 cm, 0
 constexpr double kPlaceSdMetres = 0.03, kFarthestMetres = 0.06;   ///< how well people measure where the flash is; nobody mistakes more
 constexpr double kLeastStepMetres = 5e-4;
 constexpr double kGlossyBounceSd = 0.05;   ///< least deviation of the factor on gathered light where surfaces mirror: they throw more one way than another
+constexpr std::size_t kTrialGroups = 5000;   ///< of surfels: no more than a few hundred of them are independent
 constexpr std::array kRoughnessStarts{0.12, 0.2, 0.3, 0.45};   ///< a broad lobe is another minimum: it passes for a change of the lights
 constexpr std::size_t kGlossLooks = 3;     ///< photographs of one place that tell a highlight from the rest
 constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
@@ -296,26 +298,31 @@ bool LightProblem::choose_gloss(const Lights& start, LightSolution& solution) {
   const LightSolveOptions plain = current_options(start);
   const Lights base = solution.lights;
   Lights coated = base;
-  coated.gloss.on = true;
   gloss_ = true;
   LightSolveOptions options = current_options(start);
   options.max_iterations = kTrialIterations;
-  LightSolution best;
+  const std::vector<LightSample> some = thinned(samples_, kTrialGroups);
   for (const double roughness : kRoughnessStarts) {
-    coated.gloss.roughness = roughness;
-    const LightSolution tried = solve_lights(samples_, current_references(), options, coated);
-    const double criterion = gloss_criterion(samples_, plain, base, tried.lights);
+    Lights from = base;
+    from.gloss.on = true;
+    from.gloss.roughness = roughness;
+    const Lights tried = solve_lights(some, current_references(), options, from).lights;
+    const double criterion = gloss_criterion(some, plain, base, tried);
     if (gloss_evidence_ && !(criterion < *gloss_evidence_)) continue;
     gloss_evidence_ = criterion;
-    best = tried;
+    coated = tried;
+  }
+  if (*gloss_evidence_ < 0) {   // now with all that there is
+    const LightSolution whole = solve_lights(samples_, current_references(), options, coated);
+    gloss_evidence_ = gloss_criterion(samples_, plain, base, whole.lights);
+    if (*gloss_evidence_ < 0) solution = whole;
   }
   gloss_ = *gloss_evidence_ < 0;
-  if (gloss_) solution = best;
   return gloss_;
 }
 
-/// Tries richer models of the ambient light on what is gathered now, and takes the one with the smallest Bayesian information criterion: misfit, and
-/// ln(residuals) / 2 for each parameter. One photograph supports none (physics.md E.4). Returns whether the model has changed.
+/// Tries richer models of the ambient light on what is gathered now, and takes the one with the smallest Bayesian information criterion (misfit, and
+/// ln(residuals) / 2 for each parameter) if it is very much smaller. One photograph supports none (physics.md E.4). Returns whether the model has changed.
 bool LightProblem::choose_richer_sky(const Lights& start, LightSolution& solution) {
   if (use_pairs_) return false;
   const SkyShape plain = sky_;
@@ -323,7 +330,7 @@ bool LightProblem::choose_richer_sky(const Lights& start, LightSolution& solutio
   const Lights base = solution.lights;
   const double price = std::log(std::max(2.0, independent_residuals(samples_, plain_options))), reference = 2 * light_misfit(samples_, plain_options, base, base) + price * plain.parameters();
   SkyShape best = plain;
-  double least = 0;
+  double least = -kVeryStrong;
   sky_evidence_ = {{plain.name(), plain.parameters(), 0}};
   for (const SkyShape& candidate : richer_skies(plain, input_.sky, scene_.floor && input_.try_floor)) {
     sky_ = candidate;

@@ -51,6 +51,20 @@ std::vector<std::uint32_t> choose_surfels(const std::vector<std::uint16_t>& time
   return chosen;
 }
 
+std::vector<LightSample> thinned(const std::vector<LightSample>& samples, std::size_t most) {
+  std::size_t groups = 0;
+  const auto begins = [&](std::size_t i) { return i == 0 || samples[i].group != samples[i - 1].group; };
+  for (std::size_t i = 0; i < samples.size(); ++i) groups += begins(i);
+  const std::size_t step = std::max<std::size_t>(1, groups / std::max<std::size_t>(1, most));
+  std::vector<LightSample> left;
+  std::size_t group = 0;
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    if (begins(i)) ++group;
+    if (group % step == 0) left.push_back(samples[i]);
+  }
+  return left;
+}
+
 namespace {
 
 float chroma_distance(const Observation& o, std::size_t a, std::size_t b) {

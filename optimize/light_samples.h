@@ -16,6 +16,9 @@ LightSample sample_of(const Transport& transport, const Observation& o, const st
 /// most_readings: fewer are chosen if together they would be seen more often than that.
 std::vector<std::uint32_t> choose_surfels(const std::vector<std::uint16_t>& times_seen, int at_least, std::size_t count, std::uint64_t seed, std::size_t most_readings = SIZE_MAX);
 
+/// Whole groups, evenly chosen, so that about `most` are left: enough to compare models by.
+std::vector<LightSample> thinned(const std::vector<LightSample>& samples, std::size_t most);
+
 /// Two surfels of one photograph that probably share their albedo.
 struct Pair {
   std::uint32_t a, b;

@@ -32,5 +32,28 @@ TEST(ChooseSurfels, TakesFewerWhereEachIsSeenByHundreds) {
   EXPECT_EQ(choose_surfels(times_seen, 2, 20000, 1, 10).size(), 1u);
 }
 
+TEST(Thinned, KeepsWholeGroupsFromEverywhere) {
+  std::vector<LightSample> samples;
+  for (std::uint32_t group = 0; group < 900; ++group)
+    for (std::uint32_t k = 0; k < 2 + group % 3; ++k) {
+      samples.emplace_back();
+      samples.back().group = 7 * group;
+      samples.back().photograph = k;
+    }
+  const std::vector<LightSample> some = thinned(samples, 300);
+  std::vector<std::uint32_t> groups;
+  for (std::size_t i = 0; i < some.size(); ++i)
+    if (i == 0 || some[i].group != some[i - 1].group) {
+      groups.push_back(some[i].group / 7);
+      EXPECT_EQ(some[i].photograph, 0u);
+      EXPECT_TRUE(i == 0 || some[i - 1].photograph == 1 + (some[i - 1].group / 7) % 3);
+    }
+  EXPECT_EQ(groups.size(), 300u);
+  EXPECT_GT(groups.back(), 890u);
+  EXPECT_EQ(thinned(samples, 900).size(), samples.size());
+  EXPECT_EQ(thinned(samples, 5000).size(), samples.size());
+  EXPECT_TRUE(thinned({}, 10).empty());
+}
+
 }  // namespace
 }  // namespace chiaro::optimize
