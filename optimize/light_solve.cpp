@@ -4,15 +4,12 @@
 #include <cmath>
 #include <tuple>
 
+#include "optimize/light_residuals.h"
 #include "stream/base/error.h"
 #include "stream/base/parallel.h"
 
 namespace chiaro::optimize {
 namespace {
-
-constexpr int kMaxParameters = kSkyTerms + 7;
-using VecP = Eigen::Matrix<double, kMaxParameters, 1>;
-using MatP = Eigen::Matrix<double, kMaxParameters, kMaxParameters>;
 
 constexpr double kModelSd = 0.02;                    ///< relative model error that no term names
 constexpr double kNormalSd = 0.01745;                ///< one degree
@@ -27,75 +24,11 @@ constexpr double kWhiteSd = 0.1;                     ///< of ln albedo above 1
 constexpr double kCauchy = 2.385;                    ///< 95 % efficiency for normal residuals (Holland & Welsch 1977)
 constexpr std::size_t kGroupGrain = 256;
 
-/// Parameters: 0 = ln flash, 1 .. sky_terms = sky, then ln red and ln blue of the sky if they are solved, the floor's albedo if there is one, ln reflectance and ln
-/// roughness of a coat if there is one, last = bounce.
-struct Layout {
-  int sky_terms;
-  bool coloured, floor, gloss;
-  int red() const { return sky_terms + 1; }
-  int blue() const { return sky_terms + 2; }
-  int floor_albedo() const { return sky_terms + (coloured ? 3 : 1); }
-  int reflectance() const { return floor_albedo() + (floor ? 1 : 0); }
-  int roughness() const { return reflectance() + 1; }
-  int bounce() const { return reflectance() + (gloss ? 2 : 0); }
-  int size() const { return bounce() + 1; }
-};
-
-struct Group {
-  std::size_t begin, end;
-};
-
-std::vector<Group> groups_of(std::span<const LightSample> samples) {
-  std::vector<Group> groups;
-  for (std::size_t i = 0; i < samples.size();) {
-    std::size_t e = i + 1;
-    while (e < samples.size() && samples[e].group == samples[i].group) ++e;
-    if (e - i >= 2) groups.push_back({i, e});
-    i = e;
-  }
-  return groups;
-}
-
-/// What a coat makes of the derivatives of ln(albedo H + mirrored): the light that both hold is divided by direct and other.
-struct CoatEffect {
-  double direct, other, reflectance = 0, roughness = 0;
-};
-
-CoatEffect coat_effect(const Lights& x, const LightSample& s, int c, double h, double albedo) {
-  if (!x.gloss.on) return {h, h};
-  const CoatFactors f = coat_factors(x.gloss, s.angles);
-  const double mirrored = mirrored_radiosity(x, s, c), whole = albedo * h + mirrored, lit = x.flash_intensity * static_cast<double>(s.flash);
-  return {whole / (albedo * f.direct + f.direct_mirrored), whole / (albedo * f.other + f.other_mirrored), -mirrored / whole,
-          -x.gloss.reflectance * lit * gloss_lobe_slope(x.gloss.roughness, s.angles) / whole};
-}
-
-/// Of ln(B/H) by the parameters, where H is h; with a coat, of ln(B / (albedo H + mirrored)).
-VecP derivative(const Lights& x, const LightSample& s, int c, const Layout& layout, double h, double albedo) {
-  VecP j = VecP::Zero();
-  const CoatEffect by = coat_effect(x, s, c, h, albedo);
-  const double colour = x.sky_colour[static_cast<std::size_t>(c)], by_floor = x.floor ? static_cast<double>(s.floor_flash) : 0.0;
-  j[0] = by.direct == by.other ? -x.flash_intensity * (static_cast<double>(s.flash) + x.floor_albedo * by_floor) / h
-                               : -x.flash_intensity * (static_cast<double>(s.flash) / by.direct + x.floor_albedo * by_floor / by.other);
-  for (int k = 0; k < layout.sky_terms; ++k) {
-    const auto at = static_cast<std::size_t>(k);
-    const double hidden = x.floor ? static_cast<double>(s.hidden[at]) : 0.0;
-    j[1 + k] = -colour * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - x.floor_albedo : 1.0) * hidden) / by.other;
-  }
-  if (layout.coloured && c != 1) j[c == 0 ? layout.red() : layout.blue()] = -colour * sky_irradiance(x, s.sky, s.hidden) / by.other;
-  if (layout.floor) j[layout.floor_albedo()] = -(x.flash_intensity * by_floor + colour * x.sky[0] * static_cast<double>(s.hidden[0])) / by.other;
-  if (layout.gloss) {
-    j[layout.reflectance()] = by.reflectance;
-    j[layout.roughness()] = by.roughness;
-  }
-  j[layout.bounce()] = -static_cast<double>(s.gathered[static_cast<std::size_t>(c)]) / by.other;
-  return j;
-}
-
 struct Normal {
-  MatP a = MatP::Zero(), meat = MatP::Zero();
-  MatP limit = MatP::Zero();    ///< curvature of what keeps albedos below 1: it bends the steps, but a bound is no measurement
-  VecP g = VecP::Zero();
-  VecP shadow = VecP::Zero();   ///< change of g if the gathered light were 1 too large wherever it prevails
+  LightMatrix a = LightMatrix::Zero(), meat = LightMatrix::Zero();
+  LightMatrix limit = LightMatrix::Zero();    ///< curvature of what keeps albedos below 1: it bends the steps, but a bound is no measurement
+  LightVector g = LightVector::Zero();
+  LightVector shadow = LightVector::Zero();   ///< change of g if the gathered light were 1 too large wherever it prevails
 
   double objective = 0;
   Normal& operator+=(const Normal& o) {
@@ -109,121 +42,10 @@ struct Normal {
   }
 };
 
-/// One group, one channel: residuals with the shared log albedo removed.
-struct Deviations {
-  std::vector<double> r, w, robust, shadow;   ///< robust: factor on w in the mean. shadow: share of the gathered light where it prevails, else 0
-  std::vector<VecP> j;
-  double mean_r = 0;
-  VecP mean_j = VecP::Zero();
-};
-
-/// Below a coat ln albedo is no mean of ln(body / H), which noise and a highlight that is a little off would bend: Gauss-Newton on ln(B / (albedo H + mirrored)).
-/// r and j are put so that less their means they are the residuals and their derivatives with the albedo following, as without a coat.
-void fit_coated(const Lights& x, std::span<const LightSample> samples, int c, const Layout& layout, double cauchy_scale, Deviations& d) {
-  struct Term {
-    const LightSample* sample;
-    double h, mirrored, ln_b, body = 0;   // body: its share of what is predicted
-  };
-  std::vector<Term> terms;
-  for (const LightSample& s : samples)
-    if (const double h = irradiance(x, s, c), b = static_cast<double>(s.radiosity[static_cast<std::size_t>(c)]); h > 0 && b > 0) terms.push_back({&s, h, mirrored_radiosity(x, s, c), std::log(b)});
-  const auto predict = [&] {
-    const double albedo = std::exp(d.mean_r);
-    for (std::size_t k = 0; k < terms.size(); ++k) {
-      const double whole = albedo * terms[k].h + terms[k].mirrored;
-      terms[k].body = albedo * terms[k].h / whole;
-      d.r[k] = terms[k].ln_b - std::log(whole);
-    }
-  };
-  double down = 0;
-  constexpr int kRounds = 4;
-  for (int round = 0; round < kRounds; ++round) {
-    predict();
-    double up = down = 0;
-    for (std::size_t k = 0; k < terms.size(); ++k) {
-      d.robust[k] = cauchy_scale > 0 ? 1.0 / (1.0 + d.w[k] * d.r[k] * d.r[k] / (cauchy_scale * cauchy_scale)) : 1.0;
-      up += d.w[k] * d.robust[k] * terms[k].body * d.r[k];
-      down += d.w[k] * d.robust[k] * terms[k].body * terms[k].body;
-    }
-    d.mean_r += std::clamp(up / down, -0.5, 0.5);
-  }
-  predict();
-  for (double& r : d.r) r += d.mean_r;
-  if (d.j.empty()) return;
-  d.mean_j.setZero();
-  for (std::size_t k = 0; k < terms.size(); ++k) {
-    d.j[k] = derivative(x, *terms[k].sample, c, layout, terms[k].h, std::exp(d.mean_r));
-    d.mean_j += (d.w[k] * d.robust[k] * terms[k].body / down) * d.j[k];
-  }
-  for (std::size_t k = 0; k < terms.size(); ++k) d.j[k] += (1 - terms[k].body) * d.mean_j;
-}
-
-/// weigh: the lights that the weights belong to; held still while steps are compared, since a step could lower the objective by lowering weights alone.
-/// with_derivatives false: j, mean_j and shadow stay empty.
-bool deviations(const Lights& x, const Lights& weigh, std::span<const LightSample> samples, int c, const Layout& layout, double cauchy_scale, bool with_derivatives, Deviations& d) {
-  d.r.clear();
-  d.w.clear();
-  d.shadow.clear();
-  d.j.clear();
-  for (const LightSample& s : samples) {
-    const double h = irradiance(x, s, c), b = body_radiosity(x, s, c);
-    if (!(h > 0) || !(b > 0)) continue;
-    d.r.push_back(std::log(b / h));
-    d.w.push_back(sample_weight(weigh, s) * static_cast<double>(s.trust));
-    if (!with_derivatives) continue;
-    d.j.push_back(derivative(x, s, c, layout, h, b / h));
-    const double gathered = -x.bounce * d.j.back()[layout.bounce()];
-    d.shadow.push_back(gathered > 0.5 ? gathered : 0);
-  }
-  if (d.r.size() < 2) return false;
-  // The mean decides the weights, the weights the mean.
-  d.robust.assign(d.r.size(), 1.0);
-  double sw = 0;
-  for (int round = 0; round < 3; ++round) {
-    double swr = 0;
-    sw = 0;
-    for (std::size_t k = 0; k < d.r.size(); ++k) {
-      if (round > 0 && cauchy_scale > 0) d.robust[k] = 1.0 / (1.0 + d.w[k] * (d.r[k] - d.mean_r) * (d.r[k] - d.mean_r) / (cauchy_scale * cauchy_scale));
-      sw += d.w[k] * d.robust[k];
-      swr += d.w[k] * d.robust[k] * d.r[k];
-    }
-    d.mean_r = swr / sw;
-  }
-  d.mean_j.setZero();
-  for (std::size_t k = 0; k < d.j.size(); ++k) d.mean_j += (d.w[k] * d.robust[k] / sw) * d.j[k];
-  if (x.gloss.on) fit_coated(x, samples, c, layout, cauchy_scale, d);
-  return true;
-}
-
 /// Lower triangle of a += w * j * j^T, of the parameters there are.
-void add_outer(MatP& a, double w, const VecP& j, int p) {
+void add_outer(LightMatrix& a, double w, const LightVector& j, int p) {
   for (int row = 0; row < p; ++row)
     for (int column = 0; column <= row; ++column) a(row, column) += w * j[row] * j[column];
-}
-
-double median(std::vector<double>& v) {
-  if (v.empty()) return 0;
-  const auto mid = v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2);
-  std::nth_element(v.begin(), mid, v.end());
-  return *mid;
-}
-
-/// Robust scale of the weighted deviations, and of the plain ones.
-std::pair<double, double> robust_scale(const Lights& x, std::span<const LightSample> samples, const std::vector<Group>& groups, const Layout& layout) {
-  std::vector<double> weighted, plain;
-  Deviations d;
-  const std::size_t stride = std::max<std::size_t>(1, groups.size() / 20000);
-  for (std::size_t g = 0; g < groups.size(); g += stride)
-    for (int c = 0; c < 3; ++c) {
-      if (!deviations(x, x, samples.subspan(groups[g].begin, groups[g].end - groups[g].begin), c, layout, 0, false, d)) continue;
-      const double freedom = std::sqrt(static_cast<double>(d.r.size()) / static_cast<double>(d.r.size() - 1));
-      for (std::size_t k = 0; k < d.r.size(); ++k) {
-        const double e = std::fabs(d.r[k] - d.mean_r) * freedom;
-        weighted.push_back(e * std::sqrt(d.w[k]));
-        plain.push_back(e);
-      }
-    }
-  return {1.4826 * median(weighted), 1.4826 * median(plain)};
 }
 
 /// No surface gives back more than it receives: a shared albedo above 1 pulls the lights up. Robust, since highlights exist.
@@ -236,13 +58,13 @@ void add_white_limit(const Deviations& d, double cauchy_scale, int p, Normal& n)
   n.objective += 0.5 * cauchy_scale * cauchy_scale * std::log1p(u2);
 }
 
-Normal accumulate(const Lights& x, const Lights& weigh, std::span<const LightSample> samples, const std::vector<Group>& groups, const Layout& layout, double cauchy_scale,
+Normal accumulate(const Lights& x, const Lights& weigh, std::span<const LightSample> samples, const std::vector<SampleGroup>& groups, const LightLayout& layout, double cauchy_scale,
                   bool with_derivatives) {
   return deterministic_sum<Normal>(groups.size(), kGroupGrain, Normal{}, [&](std::size_t b, std::size_t e) {
     Normal n;
     Deviations d;
     for (std::size_t g = b; g < e; ++g) {
-      VecP score = VecP::Zero();
+      LightVector score = LightVector::Zero();
       for (int c = 0; c < 3; ++c) {
         if (!deviations(x, weigh, samples.subspan(groups[g].begin, groups[g].end - groups[g].begin), c, layout, cauchy_scale, with_derivatives, d)) continue;
         for (std::size_t k = 0; k < d.r.size(); ++k) {
@@ -251,7 +73,7 @@ Normal accumulate(const Lights& x, const Lights& weigh, std::span<const LightSam
           n.objective += 0.5 * cauchy_scale * cauchy_scale * std::log1p(u2);
           if (!with_derivatives) continue;
           const double w = d.w[k] / (1.0 + u2);
-          const VecP j = d.j[k] - d.mean_j;
+          const LightVector j = d.j[k] - d.mean_j;
           add_outer(n.a, w, j, layout.size());
           n.g -= w * r * j;
           n.shadow += w * d.shadow[k] * j;
@@ -274,14 +96,14 @@ double light_variance(const Lights& lights, const LightSample& s) {
   return static_cast<double>(s.variance) + normal * normal + spread * spread + gather * gather;
 }
 
-void add_references(const Lights& x, const Lights& weigh, std::span<const ReferenceSample> references, const Layout& layout, Normal& n) {
+void add_references(const Lights& x, const Lights& weigh, std::span<const ReferenceSample> references, const LightLayout& layout, Normal& n) {
   for (const ReferenceSample& ref : references)
     for (int c = 0; c < 3; ++c) {
       const auto at = static_cast<std::size_t>(c);
       const double h = irradiance(x, ref.sample, c), b = body_radiosity(x, ref.sample, c);
       if (!(h > 0) || !(b > 0)) continue;
       const double r = std::log(b / h) - std::log(ref.albedo[at]);
-      const VecP j = derivative(x, ref.sample, c, layout, h, b / h);
+      const LightVector j = light_derivative(x, ref.sample, c, layout, h, b / h);
       // The channels of one target share its error: together they count once. What the light model is good for at that place counts too: a target in
       // shadow, or seen by a grazing flash, says less.
       const double w = 1.0 / (3.0 * (ref.sigma * ref.sigma + light_variance(weigh, ref.sample)));
@@ -291,7 +113,7 @@ void add_references(const Lights& x, const Lights& weigh, std::span<const Refere
     }
 }
 
-void add_priors(const Lights& x, const Lights& weigh, const LightSolveOptions& options, const Layout& layout, Normal& n) {
+void add_priors(const Lights& x, const Lights& weigh, const LightSolveOptions& options, const LightLayout& layout, Normal& n) {
   if (options.flash_ln_mean) {
     const double w = 1.0 / (*options.flash_ln_sd * *options.flash_ln_sd), r = std::log(x.flash_intensity) - *options.flash_ln_mean;
     n.a(0, 0) += w;
@@ -338,7 +160,7 @@ void add_priors(const Lights& x, const Lights& weigh, const LightSolveOptions& o
   }
 }
 
-Lights stepped(const Lights& x, const VecP& step, const Layout& layout) {
+Lights stepped(const Lights& x, const LightVector& step, const LightLayout& layout) {
   Lights y = x;
   y.flash_intensity *= std::exp(std::clamp(step[0], -1.0, 1.0));
   for (int k = 0; k < layout.sky_terms; ++k) y.sky[static_cast<std::size_t>(k)] += step[1 + k];
@@ -357,15 +179,15 @@ Lights stepped(const Lights& x, const VecP& step, const Layout& layout) {
 }
 
 /// The matrix of which only the lower triangle was summed.
-Eigen::MatrixXd whole(const MatP& lower, int p) { return lower.topLeftCorner(p, p).selfadjointView<Eigen::Lower>(); }
+Eigen::MatrixXd whole(const LightMatrix& lower, int p) { return lower.topLeftCorner(p, p).selfadjointView<Eigen::Lower>(); }
 
-double residuals_of(const std::vector<Group>& groups) {
+double residuals_of(const std::vector<SampleGroup>& groups) {
   double residuals = 0;
-  for (const Group& g : groups) residuals += 3.0 * static_cast<double>(g.end - g.begin - 1);
+  for (const SampleGroup& g : groups) residuals += 3.0 * static_cast<double>(g.end - g.begin - 1);
   return residuals;
 }
 
-double information_of(const std::vector<Group>& groups, const LightSolveOptions& options) {
+double information_of(const std::vector<SampleGroup>& groups, const LightSolveOptions& options) {
   return std::min(options.information, options.independent_residuals / std::max(1.0, residuals_of(groups)));
 }
 
@@ -413,20 +235,20 @@ double sample_weight(const Lights& lights, const LightSample& s) {
 }
 
 double independent_residuals(std::span<const LightSample> samples, const LightSolveOptions& options) {
-  const std::vector<Group> groups = groups_of(samples);
+  const std::vector<SampleGroup> groups = groups_of(samples);
   return information_of(groups, options) * residuals_of(groups);
 }
 
 double light_misfit(std::span<const LightSample> samples, const LightSolveOptions& options, const Lights& lights, const Lights& base) {
-  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss};
-  const std::vector<Group> groups = groups_of(samples);
+  const LightLayout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss};
+  const std::vector<SampleGroup> groups = groups_of(samples);
   const double scale = kCauchy * std::max(robust_scale(base, samples, groups, layout).first, 0.1), dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy));
   return accumulate(lights, base, samples, groups, layout, scale, false).objective * information_of(groups, options) / (dispersion * dispersion);
 }
 
 LightSolution solve_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& start) {
-  const Layout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss};
-  const std::vector<Group> groups = groups_of(samples);
+  const LightLayout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss};
+  const std::vector<SampleGroup> groups = groups_of(samples);
   if (groups.empty() && references.empty() && !options.flash_ln_mean)
     throw Error("lights: no surfel is seen twice, nothing of known albedo is given and the flash has no calibrated range: the light cannot be found");
   LightSolution solution;
@@ -474,7 +296,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
       g[1] = 0;
     }
     const Eigen::VectorXd solved = a.ldlt().solve(g);
-    VecP step = VecP::Zero();
+    LightVector step = LightVector::Zero();
     step.head(p) = solved;
     const Lights y = stepped(x, step, layout);
     const Normal there = build(y, x, scale, false);

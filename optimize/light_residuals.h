@@ -1,0 +1,54 @@
+/// How photographs disagree under given lights: log ratios of surfels seen several times, their albedo eliminated (light_solve.h).
+#pragma once
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "optimize/light_solve.h"
+
+namespace chiaro::optimize {
+
+inline constexpr int kMaxLightParameters = kSkyTerms + 7;
+using LightVector = Eigen::Matrix<double, kMaxLightParameters, 1>;
+using LightMatrix = Eigen::Matrix<double, kMaxLightParameters, kMaxLightParameters>;
+
+/// Parameters: 0 = ln flash, 1 .. sky_terms = sky, then ln red and ln blue of the sky if they are solved, the floor's albedo if there is one, ln reflectance and ln
+/// roughness of a coat if there is one, last = bounce.
+struct LightLayout {
+  int sky_terms;
+  bool coloured, floor, gloss;
+  int red() const { return sky_terms + 1; }
+  int blue() const { return sky_terms + 2; }
+  int floor_albedo() const { return sky_terms + (coloured ? 3 : 1); }
+  int reflectance() const { return floor_albedo() + (floor ? 1 : 0); }
+  int roughness() const { return reflectance() + 1; }
+  int bounce() const { return reflectance() + (gloss ? 2 : 0); }
+  int size() const { return bounce() + 1; }
+};
+
+/// Samples [begin, end) that share their albedo.
+struct SampleGroup {
+  std::size_t begin, end;
+};
+/// Groups of two samples or more.
+std::vector<SampleGroup> groups_of(std::span<const LightSample> samples);
+
+/// Of ln(B/H) by the parameters, where H is h; with a coat, of ln(B / (albedo H + mirrored)).
+LightVector light_derivative(const Lights& lights, const LightSample& sample, int c, const LightLayout& layout, double h, double albedo);
+
+/// One group, one channel: residuals with the shared log albedo removed.
+struct Deviations {
+  std::vector<double> r, w, robust, shadow;   ///< robust: factor on w in the mean. shadow: share of the gathered light where it prevails, else 0
+  std::vector<LightVector> j;
+  double mean_r = 0;
+  LightVector mean_j = LightVector::Zero();
+};
+
+/// weigh: the lights that the weights belong to; held still while steps are compared, since a step could lower the objective by lowering weights alone.
+/// with_derivatives false: j, mean_j and shadow stay empty.
+bool deviations(const Lights& lights, const Lights& weigh, std::span<const LightSample> samples, int c, const LightLayout& layout, double cauchy_scale, bool with_derivatives, Deviations& d);
+
+/// Robust scale of the weighted deviations, and of the plain ones.
+std::pair<double, double> robust_scale(const Lights& lights, std::span<const LightSample> samples, std::span<const SampleGroup> groups, const LightLayout& layout);
+
+}  // namespace chiaro::optimize
