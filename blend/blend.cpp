@@ -348,14 +348,16 @@ class Blender {
     BlendStats stats;
     stream::LayerWriter writer(store_, options_.layer, stream::albedo_fields(), options_.provenance_json);
     std::vector<LeafStats> leaves(store_.leaves().size());
-    const auto blended = [&](std::size_t i) { return resolve_leaf(sums_->read<Accumulator>(i), static_cast<float>(options_.shared_sigma)); };
-    const LeafDenoiser denoiser(store_, scale_.brightness, blended);
+    const auto resolved = [&](const LeafRecord<Accumulator>& record) { return resolve_leaf(record, static_cast<float>(options_.shared_sigma)); };
+    const LeafDenoiser denoiser(store_, scale_.brightness, [&](std::size_t i) { return resolved(sums_->read<Accumulator>(i)); });
     const bool denoises = options_.denoise && scale_.brightness > 0;
     report_.begin(denoises ? "blend: denoise and write" : "blend: write", leaves.size(), "chunks");
     std::atomic<std::uint64_t> done{0};
     walk_.for_leaves(leaves.size(), denoises ? LeafDenoiser::bytes_per_surfel() : sizeof(Accumulator), [&](std::size_t i) {
       const auto record = sums_->read<Accumulator>(i);
-      leaves[i] = write_leaf(writer, store_.leaves()[i], record, denoises && sums_->is_written(i) ? denoiser.denoised(i) : blended(i));
+      std::vector<BlendedSurfel> values = resolved(record);
+      if (denoises) denoiser.denoise(i, values);
+      leaves[i] = write_leaf(writer, store_.leaves()[i], record, values);
       report_.progress(++done);
     });
     report_.end();

@@ -83,8 +83,7 @@ std::vector<std::uint32_t> LeafDenoiser::leaves_near(std::uint32_t chunk, const 
   return found;
 }
 
-std::vector<BlendedSurfel> LeafDenoiser::denoised(std::size_t leaf) const {
-  std::vector<BlendedSurfel> values = blended_(leaf);
+void LeafDenoiser::denoise(std::size_t leaf, std::vector<BlendedSurfel>& values) const {
   const std::uint32_t chunk = store_.leaves()[leaf];
   const stream::Chunk own = store_.read_chunk(chunk);
   const Vec3d origin = own.frame.origin_in_world;
@@ -95,7 +94,7 @@ std::vector<BlendedSurfel> LeafDenoiser::denoised(std::size_t leaf) const {
     append(surfels, own.surfel(slot), values[slot], origin, brightness_);
     slots.push_back(slot);
   }
-  if (slots.empty() || std::all_of(surfels.sd.begin(), surfels.sd.end(), [](float sd) { return !(sd > 0); })) return values;
+  if (slots.empty() || std::all_of(surfels.sd.begin(), surfels.sd.end(), [](float sd) { return !(sd > 0); })) return;
   double reach = kReachSpacings * static_cast<double>(store_.chunks()[chunk].spacing);
   // A sparse leaf beside dense ones takes no more of each than that one's own reach, and less if it is still too much. Where nothing helps (duplicates), it is alone.
   for (int tries = 0; !add_surroundings(chunk, origin, reach, surfels, slots.size()); ++tries) {
@@ -104,9 +103,8 @@ std::vector<BlendedSurfel> LeafDenoiser::denoised(std::size_t leaf) const {
     surfels.resize(slots.size());
     break;
   }
-  const std::vector<Denoised> found = denoise(surfels, slots.size(), static_cast<float>(reach));
+  const std::vector<Denoised> found = blend::denoise(surfels, slots.size(), static_cast<float>(reach));
   for (std::size_t i = 0; i < slots.size(); ++i) put(found[i], surfels.log_albedo[i], surfels.sd[i], brightness_, values[slots[i]]);
-  return values;
 }
 
 bool LeafDenoiser::add_surroundings(std::uint32_t chunk, const Vec3d& origin, double reach, NoisySurfels& surfels, std::size_t own) const {

@@ -14,8 +14,8 @@ class LeafDenoiser {
   /// blended: the values of a leaf, by its place in store.leaves(); called from several threads. brightness: see log_value().
   LeafDenoiser(const stream::Store& store, float brightness, std::function<std::vector<BlendedSurfel>(std::size_t leaf)> blended);
 
-  /// The leaf's values with albedo, own_sigma and sigma as its surroundings leave them. Thread-safe.
-  std::vector<BlendedSurfel> denoised(std::size_t leaf) const;
+  /// Leaves albedo, own_sigma and sigma of a leaf's values as its surroundings have them. Thread-safe.
+  void denoise(std::size_t leaf, std::vector<BlendedSurfel>& values) const;
 
   /// Of a surfel of the leaf, at most: itself, its surroundings and the search.
   static std::uint64_t bytes_per_surfel();

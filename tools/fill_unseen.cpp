@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <array>
-#include <nanoflann.hpp>
+
+#include "stream/base/nearest_points.h"
 
 namespace chiaro::tools {
 namespace {
@@ -12,18 +13,10 @@ constexpr double kReachSpacings = 4;   // farther away the next coarser level kn
 
 /// Positions and albedo of the seen surfels of a node, in float relative to the node's cell.
 struct SeenSurfels {
-  std::vector<std::array<float, 3>> positions;
-  std::vector<Vec3f> albedo;
-  std::size_t kdtree_get_point_count() const { return positions.size(); }
-  float kdtree_get_pt(std::size_t i, std::size_t axis) const { return positions[i][axis]; }
-  template <class Box>
-  bool kdtree_get_bbox(Box&) const { return false; }
+  std::vector<Vec3f> positions, albedo;
 };
 
-std::array<float, 3> relative(const Vec3d& p, const Vec3d& origin) {
-  const Vec3d d = p - origin;
-  return {static_cast<float>(d.x()), static_cast<float>(d.y()), static_cast<float>(d.z())};
-}
+Vec3f relative(const Vec3d& p, const Vec3d& origin) { return (p - origin).cast<float>(); }
 
 SeenSurfels seen_surfels(const stream::Chunk& chunk, const std::vector<Vec3f>& albedo) {
   SeenSurfels seen;
@@ -37,13 +30,11 @@ SeenSurfels seen_surfels(const stream::Chunk& chunk, const std::vector<Vec3f>& a
 
 /// Fills what has a seen surfel within `reach`; the others stay in `unseen`.
 void fill_within(const SeenSurfels& seen, const stream::Chunk& leaf, const Vec3d& origin, double reach, std::vector<std::uint32_t>& unseen, std::vector<Vec3f>& albedo) {
-  using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, SeenSurfels>, SeenSurfels, 3, std::uint32_t>;
-  const Tree tree(3, seen, nanoflann::KDTreeSingleIndexAdaptorParams(16));
+  const NearestPoints nearest(seen.positions);
   std::array<std::uint32_t, kNeighbours> index{};
   std::array<float, kNeighbours> squared{};
   std::erase_if(unseen, [&](std::uint32_t slot) {
-    const auto query = relative(leaf.surfel(slot).position_in_world, origin);
-    const std::size_t found = tree.knnSearch(query.data(), kNeighbours, index.data(), squared.data());
+    const std::size_t found = nearest.find(relative(leaf.surfel(slot).position_in_world, origin), kNeighbours, index.data(), squared.data());
     if (found == 0 || squared[0] > reach * reach) return false;
     Vec3f sum = Vec3f::Zero();
     float weights = 0;
