@@ -18,7 +18,7 @@ using Json = nlohmann::ordered_json;
 
 struct Words {
   std::string a, b, mask, out, picture;
-  bool srgb = false, as_stored = false;
+  bool srgb = false, as_stored = false, clip = false;
   double peak = 1;
   int threads = 0;
 };
@@ -31,13 +31,13 @@ Json json_of(const Distribution& d) { return {{"mean", number(d.mean)}, {"median
 void print_images(const Words& words, const ImageComparison& r, Console& console) {
   if (console.json) {
     Json out{{"kind", "images"}, {"a", words.a}, {"b", words.b}, {"width", r.width}, {"height", r.height}, {"pixels", r.pixels}, {"not_finite", r.not_finite},
-             {"values", words.srgb ? "srgb" : "linear"}, {"psnr", number(r.psnr)}, {"identical", r.mse == 0}, {"ssim", number(r.ssim)}, {"ssim_rgb", number(r.ssim_rgb)},
+             {"values", words.srgb ? "srgb" : "linear"}, {"clipped", words.clip}, {"psnr", number(r.psnr)}, {"identical", r.mse == 0}, {"ssim", number(r.ssim)}, {"ssim_rgb", number(r.ssim_rgb)},
              {"flip", number(r.flip)}, {"mse", number(r.mse)}, {"relative_error", number(r.relative_error)}, {"delta_e", number(r.delta_e)}, {"notes", r.notes}};
     return console.result(out.dump(-1, ' ', false, Json::error_handler_t::replace));
   }
   for (const std::string& note : r.notes) console.report().note(note);
   Table table({"", "", ""}, {Table::Align::kLeft, Table::Align::kRight, Table::Align::kLeft});
-  table.row({"psnr", format_number(r.psnr, 5), concat("dB, peak ", words.peak, words.srgb ? ", sRGB values" : ", linear values")});
+  table.row({"psnr", format_number(r.psnr, 5), concat("dB, peak ", words.peak, words.srgb ? ", sRGB values" : ", linear values", words.clip ? ", clipped" : "")});
   table.row({"ssim", format_number(r.ssim, 5), "luminance"});
   table.row({"ssim_rgb", format_number(r.ssim_rgb, 5), "mean of the channels"});
   table.row({"flip", format_number(r.flip, 5), "0 alike .. 1, 67 pixels per degree"});
@@ -87,6 +87,7 @@ int run_compare(std::span<const std::string> args, Console& console) {
   parser.flag("--srgb", words.srgb, "pictures: psnr, ssim, mse and relative error on sRGB-encoded values instead of linear ones");
   parser.flag("--as-stored", words.as_stored, "pictures: take 8-bit files and PNG as linear");
   parser.option("--peak", words.peak, "pictures: the value of white, for psnr", "VALUE", 1e-6, 1e9);
+  parser.flag("--clip", words.clip, "pictures: values below 0 and above white count as 0 and as white");
   parser.option("--out", words.out, "points: write the difference of each point to this .ply, .las or .pcd", "FILE");
   parser.option("--picture", words.picture, "points: draw the differences on the cloud, from six sides; blue: A darker, red: A brighter", "FILE.png");
   parser.option("--threads", words.threads, "threads; 0 = all cores", "N", 0, 4096);
@@ -97,7 +98,7 @@ int run_compare(std::span<const std::string> args, Console& console) {
   const bool points = names_points(words.a);
   if (points != names_points(words.b)) throw UsageError(concat("chiaro compare: ", words.a, " and ", words.b, ": one is a picture, the other a set of points"));
   if (points) {
-    for (const char* flag : {"--mask", "--srgb", "--as-stored", "--peak"})
+    for (const char* flag : {"--mask", "--srgb", "--as-stored", "--peak", "--clip"})
       if (parser.count(flag)) throw UsageError(concat("chiaro compare: ", flag, " is for pictures"));
     // JSON output is one line: programs read it as a whole.
     print_points(words, compare_points(words.a, words.b, words.out, console.json ? silent_reporter() : console.report(), words.picture), console);
@@ -110,6 +111,7 @@ int run_compare(std::span<const std::string> args, Console& console) {
   options.srgb = words.srgb;
   options.as_stored = words.as_stored;
   options.peak = words.peak;
+  options.clip = words.clip;
   print_images(words, compare_images(words.a, words.b, options), console);
   return 0;
 }

@@ -12,6 +12,7 @@ struct CompareImagesOptions {
   bool srgb = false;           ///< mse, psnr, ssim and relative error on sRGB-encoded values instead of linear ones (FLIP and delta E know no choice)
   bool as_stored = false;      ///< take 8-bit files and PNG as linear; otherwise they are taken as sRGB-encoded and linearised
   double peak = 1;             ///< of PSNR
+  bool clip = false;           ///< take values below 0 and above `peak` as those, as a display would
 };
 
 struct ImageComparison {

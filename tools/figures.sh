@@ -19,7 +19,7 @@ number() { sed -n "s/.*\"$1\":\([-+.eE0-9]*\).*/\1/p" | tail -n 1; }
 top_level() { sed -n "s/^  \"$1\": *\([-+.eE0-9]*\),*$/\1/p" "$2" | tail -n 1; }
 anywhere() { sed -n "s/.*\"$1\": *\([0-9]*\).*/\1/p" "$2" | tail -n 1; }
 
-# PSNR of each new view inside its mask, in the order of their names.
+# PSNR of each new view inside its mask, values clipped to white (1), in the order of their names.
 psnr_of_views() {   # scene folder, run folder
   [ -f "$1/novel/views.toml" ] || { printf -- '–'; return 0; }
   "$chiaro" render "$2" --views "$1/novel/views.toml" --out "$2.novel" --quiet >/dev/null 2>>"$out/log.txt" || { printf 'failed'; return 0; }
@@ -29,7 +29,7 @@ psnr_of_views() {   # scene folder, run folder
     name=$(basename "$view" .exr)
     [ "$first" = yes ] || printf ', '
     first=no
-    "$chiaro" compare "$2.novel/$name.exr" "$view" --mask "$1/masks/$name.png" --json 2>>"$out/log.txt" | number psnr | awk '{ printf "%.1f", $1 }'
+    "$chiaro" compare "$2.novel/$name.exr" "$view" --mask "$1/masks/$name.png" --clip --json 2>>"$out/log.txt" | number psnr | awk '{ printf "%.1f", $1 }'
   done
 }
 

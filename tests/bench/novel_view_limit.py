@@ -8,6 +8,8 @@ The limit of a view takes, for each pixel, the true surface point (truth/NAME_de
 points of the cloud there; whether the flash reaches the point is chosen after the fact, whichever comes closer to the photograph; ambient and bounced light
 are those of the rendering. What it still misses lies between the points: paint edges and relief finer than the sampling. "albedo only" even takes the
 shading from the photograph, so that it misses nothing but the albedo between the points. Several widths of the blend are tried, the best is printed.
+"blurred": the photograph of the new view itself, averaged over squares as wide as the cloud's spacing (the median one, at the median distance): what is left
+when relief, outlines and shadows are known as finely as the cloud samples them, and nothing else is wrong. Values are clipped to 0..1 everywhere.
 """
 import sys
 import tomllib
@@ -16,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 
@@ -35,7 +38,22 @@ def read_cloud(scene):
 
 
 def psnr(picture, photograph):
-    return -10 * np.log10(np.mean((picture - photograph) ** 2))
+    return -10 * np.log10(np.mean((np.clip(picture, 0, 1) - np.clip(photograph, 0, 1)) ** 2))
+
+
+def blurred(photograph, mask, width):
+    """Means over Gaussians with the variance of a square of that width, of what lies in the mask."""
+    sigma = width / np.sqrt(12)
+    weight = gaussian_filter(mask.astype(float), sigma)[mask]
+    picture = np.zeros(mask.shape + (3,))
+    picture[mask] = photograph
+    return np.stack([gaussian_filter(picture[..., c], sigma)[mask] / weight for c in range(3)], -1)
+
+
+def spacing_of(positions):
+    """As docs/store-format.md has it: distance of the sixth neighbour / sqrt(6 / pi)."""
+    some = positions[:: max(1, len(positions) // 20000)]
+    return cKDTree(positions).query(some, 7)[0][:, 6] * np.sqrt(np.pi / 6)
 
 
 def measure(view, scene, rendered, direct, cloud):
@@ -66,7 +84,9 @@ def measure(view, scene, rendered, direct, cloud):
         limits.append(psnr(np.where(dark_is_closer[:, None], indirect, lit), photograph))
         shading = (photograph * albedo).sum(1) / (albedo**2).sum(1)
         albedo_only.append(psnr(shading[:, None] * albedo, photograph))
-    print(f"| {scene.name}/{name} | {psnr(ours, photograph):.1f} | {max(limits):.1f} | {max(albedo_only):.1f} |")
+    pixels = np.median(spacing_of(positions)) * fx / np.median(depth)
+    limit = psnr(blurred(np.clip(photograph, 0, 1), mask, pixels), photograph)
+    print(f"| {scene.name}/{name} | {psnr(ours, photograph):.1f} | {max(limits):.1f} | {max(albedo_only):.1f} | {pixels:.1f} | {limit:.1f} |")
 
 
 def main():
@@ -74,7 +94,7 @@ def main():
         sys.exit(__doc__)
     scene, rendered, direct = map(Path, sys.argv[1:])
     cloud = read_cloud(scene)
-    print("| view | chiaro, PSNR dB | limit of the cloud | albedo only |\n| --- | ---: | ---: | ---: |")
+    print("| view | chiaro, PSNR dB | limit of the cloud | albedo only | spacing, pixels | blurred |\n| --- | ---: | ---: | ---: | ---: | ---: |")
     for view in tomllib.loads((scene / "novel/views.toml").read_text())["view"]:
         measure(view, scene, rendered, direct, cloud)
 

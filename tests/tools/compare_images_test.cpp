@@ -67,6 +67,18 @@ TEST_F(CompareImagesTest, LinearisesEightBitFilesAndSaysSo) {
   EXPECT_NEAR(compare_images(a, exr("c.exr", 12, 12, 1), encoded).mse, std::pow(188 / 255.0 - 1, 2), 1e-6);
 }
 
+TEST_F(CompareImagesTest, TakesWhatIsBeyondWhiteAsWhiteIfAsked) {
+  const std::string a = exr("a.exr", 12, 12, 3), b = exr("b.exr", 12, 12, 1.5f), black = exr("black.exr", 12, 12, -0.25f);
+  CompareImagesOptions options;
+  options.clip = true;
+  EXPECT_EQ(compare_images(a, b, options).mse, 0);
+  EXPECT_EQ(compare_images(a, black, options).mse, 1);
+  options.peak = 2;
+  EXPECT_EQ(compare_images(a, b, options).mse, 0.25);
+  EXPECT_EQ(compare_images(a, b, {}).mse, 2.25);
+  EXPECT_TRUE(std::isnan(compare_images(a, exr("nan.exr", 12, 12, std::nanf("")), options).mse));
+}
+
 TEST_F(CompareImagesTest, CountsOnlyMaskedPixels) {
   std::vector<float> values(30 * 20 * 3, 0.5f);
   values[0] = std::nanf("");
