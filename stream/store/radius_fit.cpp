@@ -59,8 +59,10 @@ class RadiusFitter {
   }
 
  private:
+  static constexpr float kSameFace = 0.9f;
   static constexpr float kEdgeReach = 2.2f, kOtherFace = 0.82f;
   static constexpr float kAllNeighbours = 1e30f;
+  static constexpr float kRidgeShare = 0.45f, kMostBeyondAll = 1.4f, kLeastOnRidge = 0.8f, kOverFarEdge = 0.25f;
 
   // Near an evenly sampled surface the search finds pi * spacings^2 points. An outlier finds many more, all on one side of it.
   bool is_outlier(std::uint32_t i, const NeighbourList& list) const {
@@ -180,9 +182,10 @@ class RadiusFitter {
   // The nearest other face: the plane through those neighbours, within kEdgeReach mean distances, whose normals agree with the nearest one's that is turned
   // away from the point's. The disc ends where it meets that plane, unless its own face goes on behind it.
   void clip_at_edge(std::uint32_t i, const NeighbourList& list, const Selection& c) {
-    constexpr float kSameFace = 0.9f, kBehind = 0.6f, kMargin = 0.1f;
+    constexpr float kBehind = 0.6f, kMargin = 0.1f;
     const float mean = fits_[i].mean_of_nearest;
     const Vec3f normal = own_normal(i);
+    far_edge_ = kAllNeighbours;
     const float reach = kEdgeReach * mean, reach2 = reach * reach;
     std::size_t nearest = list.size();
     for (std::size_t k = 0; k < list.size(); ++k) {
@@ -223,6 +226,43 @@ class RadiusFitter {
     if (behind > 1) return;
     fits_[i].clip_across = across;
     fits_[i].clip_distance = std::max(0.0f, distance) + kMargin * mean;
+    far_edge_ = opposite_edge(normal, across, list, c, reach2, mean);
+  }
+
+  // Where a second face begins on the other side of the point: the distance of the line in which its plane meets the disc's; kAllNeighbours if none does.
+  float opposite_edge(const Vec3f& normal, const Vec3f& across, const NeighbourList& list, const Selection& c, float reach2, float mean) const {
+    constexpr float kOpposite = -0.3f;
+    const auto is_there = [&](std::size_t k) {
+      return list.distance_squared[k] <= reach2 && std::abs(normal.dot(normal_of(list, k, c))) < kOtherFace && list.offset(k).dot(across) < 0;
+    };
+    std::size_t nearest = list.size();
+    for (std::size_t k = 0; k < list.size(); ++k)
+      if (is_there(k) && (nearest == list.size() || list.distance_squared[k] < list.distance_squared[nearest])) nearest = k;
+    if (nearest == list.size()) return kAllNeighbours;
+    const Vec3f first = normal_of(list, nearest, c);
+    Vec3f other = Vec3f::Zero(), at = Vec3f::Zero();
+    float weight = 0;
+    for (std::size_t k = 0; k < list.size(); ++k) {
+      if (!is_there(k)) continue;
+      const Vec3f n = normal_of(list, k, c);
+      const float cosine = n.dot(first);
+      if (std::abs(cosine) <= kSameFace) continue;
+      const float w = std::exp(-list.distance_squared[k] / (mean * mean));
+      other += (cosine < 0 ? -w : w) * n;
+      at += w * list.offset(k);
+      weight += w;
+    }
+    at /= weight;
+    other.normalize();
+    Vec3f back = other - other.dot(normal) * normal;
+    const float length = back.norm();
+    if (!(length > 0.3f)) return kAllNeighbours;
+    float distance = other.dot(at) / length;
+    if (back.dot(at) < 0) {
+      back = -back;
+      distance = -distance;
+    }
+    return back.dot(across) < kOpposite * length ? std::max(0.0f, distance) : kAllNeighbours;
   }
 
   Vec3f own_normal(std::uint32_t i) const { return {own_.nx[i], own_.ny[i], own_.nz[i]}; }
@@ -241,7 +281,7 @@ class RadiusFitter {
     const Face face{own_normal(i), (own_.flags[i] & SurfelBlock::kOriented) != 0};
     project(face, list);
     TangentCell cell = cell_of(face, list, c, scale, false);
-    if (!cell.bounded() && few_on_face(face, list, c)) cell = cell_of(face, list, c, scale, true);
+    if (is_ridge(face, list, c, kEdgeReach * mean) || (!cell.bounded() && few_on_face(face, list, c))) cell = cell_of(face, list, c, scale, true);
     const Vec3f& across_edge = fits_[i].clip_across;
     const Vec3f axis = across(face.normal);
     const float edge_u = axis.dot(across_edge), edge_v = face.normal.cross(axis).dot(across_edge), edge_distance = fits_[i].clip_distance;
@@ -255,7 +295,11 @@ class RadiusFitter {
       if (d <= scale || on_edge || is_inside(x / d, y / d, d)) within = std::max(within, d);
       else open = true;
     });
-    return disc_radius(within, scale, open);
+    // One line can be cut off. Where a second face begins on the other side, only a smaller disc keeps from standing out over it.
+    const float radius = std::min(disc_radius(within, scale, open), std::max(kLeastOnRidge, far_edge_ / mean + kOverFarEdge) * mean);
+    if (radius <= kMostBeyondAll * scale) return radius;
+    // Near an edge the disc reaches over what belongs to points of the other face, but not as far as those that stand out of the surface would.
+    return std::min(radius, std::max(scale, kMostBeyondAll * 1.1f * std::sqrt(cell_of(face, list, c, scale, true).farthest_squared())));
   }
 
   // A corner of the cell is inside the surface if points lie beyond it. On a border the half-way lines of the outermost points meet far outside, where
@@ -288,6 +332,18 @@ class RadiusFitter {
     return on_face < 5;
   }
 
+  // On a ridge or a corner few of the nearest are on the point's own face, as its normal belongs to none of the faces that meet there. The discs of these reach
+  // the edge; one as large as a cell that they do not bound would stand out far into the air.
+  static bool is_ridge(const Face& face, const NeighbourList& list, const Selection& c, float reach) {
+    int near = 0, on_face = 0;
+    for (std::size_t k = 0; k < list.size(); ++k) {
+      if (list.distance_squared[k] > reach * reach) continue;
+      ++near;
+      on_face += face.holds(list.offset(k), list.distance_squared[k], list.candidate[k], c);
+    }
+    return static_cast<float>(on_face) < kRidgeShare * static_cast<float>(near);
+  }
+
   TangentCell cell_of(const Face& face, const NeighbourList& list, const Selection& c, float scale, bool use_all) const {
     TangentCell cell(3 * scale);
     for (std::size_t k = 0; k < list.size(); ++k) {
@@ -308,6 +364,7 @@ class RadiusFitter {
   std::array<TangentLines, kLanes> lines_;
   std::array<CellCorners, kLanes> cells_;
   NeighbourList list_;
+  float far_edge_ = 0;
   std::vector<float> tangent_u_, tangent_v_;
 };
 

@@ -445,6 +445,35 @@ TEST(Build, DiscsReachLittleOverABorder) {
   EXPECT_LT(sum / static_cast<double>(over.size()), 0.75);
 }
 
+// The roof of a house, sampled as the vertices of a mesh are: points on the ridge itself have a normal that is neither slope's.
+TEST(Build, DiscsOnARidgeStayAsSmallAsTheirNeighbours) {
+  const ScratchFolder scratch;
+  MemoryCloud cloud;
+  const int n = 60;
+  const double step = 1.0 / n;
+  for (int y = 0; y < n; ++y)
+    for (int k = -n / 2; k <= n / 2; ++k) {
+      // Every third row only has a point on the ridge, so that these do not bound each other's cells.
+      if (k == 0 && y % 3 != 0) continue;
+      cloud.position.push_back({k * step, (y + 0.3 * (std::abs(k) % 2)) * step, -std::abs(k) * step});
+      cloud.normal.push_back(k == 0 ? Vec3f(0, 0, 1) : Vec3f(k > 0 ? 1.0f : -1.0f, 0, 1).normalized());
+    }
+  build(cloud, scratch.path() / "a.chiaro");
+  const Store store(scratch.path() / "a.chiaro");
+  int ridge = 0;
+  for (const std::uint32_t leaf : store.leaves()) {
+    const Chunk c = store.read_chunk(leaf);
+    for (std::uint32_t i = 0; i < c.count; ++i) {
+      const Surfel s = c.surfel(i);
+      const Vec3d p = s.position_in_world;
+      if (std::abs(p.x()) > 0.25 * step || p.y() < 4 * step || p.y() > 1 - 4 * step) continue;
+      ++ridge;
+      EXPECT_LT(static_cast<double>(s.radius), 1.45 * step) << p.y() * n;
+    }
+  }
+  EXPECT_GE(ridge, 15);
+}
+
 TEST(Build, TheInputColourBecomesALayerOnEveryLevel) {
   const ScratchFolder scratch;
   MemoryCloud cloud = plane_cloud(20000);
