@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 #include <numbers>
+#include <optional>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
@@ -37,6 +38,28 @@ Vec2f sequence_point(int k, const Vec2f& shift) {
 Vec3f cosine_direction(const Vec2f& u, const Vec3f& n, const Vec3f& t, const Vec3f& b) {
   const float r = std::sqrt(u.x()), phi = 2 * kPi * u.y();
   return (t * (r * std::cos(phi)) + b * (r * std::sin(phi)) + n * std::sqrt(std::max(0.0f, 1 - u.x()))).normalized();
+}
+
+/// Normals farther apart belong to two faces of an edge, as in the fit of normals.
+constexpr float kOtherFace = 0.82f;   // cos 35 degrees
+constexpr float kOwnReach = 3;        // times what a ray skips: a blend of the own discs may end beyond it
+
+/// What a ray from surfel i meets, absent: the sky. Its own surface is skipped (surfels::EscapeOptions), but not the front of another face that begins within that reach:
+/// beside a crease most rays end there, and let through they would meet the sky. (Two planes at 80 degrees: sky 15 % too large and bounces 10 % too small within six radii.)
+std::optional<std::uint32_t> met(const Proxy& proxy, const surfels::Tracer& tracer, const Vec3f& shift, std::size_t i, const Vec3f& direction) {
+  surfels::Ray ray = surfels::escape_ray(proxy.position[i] + shift, proxy.normal[i], proxy.radius[i], direction, 1e30f);
+  const float skip = ray.t_min;
+  ray.t_min = 0;
+  surfels::Hit hit;
+  if (!tracer.closest(ray, hit)) return std::nullopt;
+  std::uint32_t j = proxy.index_of(hit.surfel);
+  const bool other_face = proxy.normal[j].dot(proxy.normal[i]) < kOtherFace && proxy.normal[j].dot(direction) < 0;
+  if (hit.t < kOwnReach * skip && !other_face) {
+    ray.t_min = skip;
+    if (!tracer.closest(ray, hit)) return std::nullopt;
+    j = proxy.index_of(hit.surfel);
+  }
+  return j;
 }
 
 }  // namespace
@@ -73,12 +96,9 @@ Transport gather(const Proxy& proxy, const surfels::Tracer& tracer, const Smooth
       float* sky = transport.sky.data() + i * kSkyTerms;
       for (std::size_t m = 0; m < rays; ++m) {
         const Vec3f direction = fan.direction(m);
-        const surfels::Ray ray = surfels::escape_ray(proxy.position[i] + shift, proxy.normal[i], proxy.radius[i], direction, 1e30f);
-        surfels::Hit hit;
-        if (tracer.closest(ray, hit)) {
-          const std::uint32_t j = proxy.index_of(hit.surfel);
-          transport.hits[i * rays + m] = j;
-          back[i] += proxy.normal[j].dot(direction) > 0;
+        if (const auto j = met(proxy, tracer, shift, i, direction)) {
+          transport.hits[i * rays + m] = *j;
+          back[i] += proxy.normal[*j].dot(direction) > 0;
         } else {
           float terms[kSkyTerms];
           sky_basis(direction, terms);

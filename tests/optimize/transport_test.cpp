@@ -55,6 +55,26 @@ TEST(Gather, ParallelPlatesSeeTheirFormFactor) {
   EXPECT_NEAR(hits / static_cast<double>(s.transport.hits.size()), 0.19982 * 1.015, 0.19982 * 0.02);
 }
 
+TEST(Gather, OtherFacesAreMetRightBesideACrease) {
+  // A floor that ends at a wall: half of what its points see beside the crease is wall, however near they are.
+  auto points = tests::square_points(60, 1.0, {0.5, 0, 0}, {0, 0, 1}, 1);
+  const auto wall = tests::square_points(60, 1.0, {0, 0, 0.5}, {1, 0, 0}, 2);
+  points.insert(points.end(), wall.begin(), wall.end());
+  const Lit s(points, 64);
+  double hits = 0, expected = 0;
+  int count = 0;
+  for (std::size_t i = 0; i < s.proxy.size(); ++i) {
+    const Vec3d p = s.proxy.position[i].cast<double>() + s.proxy.origin_in_world;
+    if (s.proxy.normal[i].z() < 0.9f || p.x() > 1.0 / 60 || std::fabs(p.y()) > 0.25) continue;
+    for (std::size_t m = 0; m < 64; ++m) hits += (s.transport.hits[64 * i + m] != Transport::kSky) / 64.0;
+    // A strip of height 1, endless to both sides (its ends matter by less than 1 %): Hottel's crossed strings.
+    expected += 0.5 * (1 - p.x() / std::sqrt(1 + p.x() * p.x()));
+    ++count;
+  }
+  ASSERT_GT(count, 20);
+  EXPECT_NEAR(hits / expected, 1, 0.05);
+}
+
 TEST(Gather, ErrorFallsFasterThanRandomRays) {
   // Mean square error of the sky fraction above a plate with a roof, against 1024 rays: quartering should beat 1/4 clearly.
   auto points = tests::square_points(40, 1.0, {0, 0, 0}, {0, 0, 1}, 1);
