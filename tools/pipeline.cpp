@@ -217,11 +217,13 @@ class Pipeline {
     h.add(fingerprint).add(static_cast<std::uint64_t>(a.encoding));
     h.add(p.mask.empty() ? std::string("-") : file_fingerprint(p.mask));
     h.add(a.noise ? a.noise->gain : -1.0).add(a.noise ? a.noise->read_sigma : -1.0);
+    h.add(std::uint64_t{run_.project.method != SolveMethod::kNone});
     photo.radiance_key = h.hex();
     const Json info = run_.task("develop/" + p.key, photo.radiance_key, {run_.folder.radiance(p.key)}, [&] {
       stream::DevelopOptions options;
       options.encoding = develop_encoding(a.encoding);
       if (!p.mask.empty()) options.mask = p.mask;
+      options.find_clipping = run_.project.method != SolveMethod::kNone;   // there a picture is the colour itself, and may be of one
       if (a.noise) options.noise = stream::NoiseModel{a.noise->gain, a.noise->read_sigma, false};
       const stream::DevelopResult r = stream::develop(p.file, options, run_.folder.radiance(p.key), run_.report);
       return Json{{"width", r.width_px}, {"height", r.height_px}, {"noise_gain", r.noise.gain}, {"noise_read_sigma", r.noise.read_sigma}, {"noise_estimated", r.noise.estimated},

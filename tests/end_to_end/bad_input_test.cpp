@@ -72,6 +72,21 @@ TEST_F(BadInput, APhotographUnderAnotherAmbientLightIsNamedAndCorrected) {
   EXPECT_LE(error_of(s).absolute, 0.02);
 }
 
+TEST_F(BadInput, APhotographThatWasOverexposedAndClippedIsReadWhereItIsNot) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  const TinyScene s = scene(options);
+  const stream::Image before = stream::read_image(s.folder / "photos/photo_01.exr");
+  const float white = *std::max_element(before.values.begin(), before.values.end());
+  change(s, 1, [white](float v, std::size_t) { return std::min(2 * v, white); });
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(json("out/run.json").at("notes").dump(), HasSubstr("photo_01.exr: "));
+  EXPECT_THAT(json("out/run.json").at("notes").dump(), HasSubstr("pixels share the brightest value of the file"));
+  EXPECT_NEAR(lights().at("exposures").at("photo_01").get<double>(), 2, 0.04);
+  EXPECT_LE(error_of(s).absolute, 0.02);
+}
+
 TEST_F(BadInput, WithoutAnyCalibrationOnlyRatiosAreClaimed) {
   TinySceneOptions options;
   options.photographs = 1;
