@@ -157,7 +157,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
     report.end();
   }
   result.light_of_photograph.assign(count, 0);
-  result.exposures.assign(count, 1.0);
+  result.own_lights.assign(count, {});
   result.strangers.assign(count, false);
   std::vector<std::size_t> with_flash, without_flash;
   for (std::size_t k = 0; k < count; ++k) (input.photographs[k].flash_in_camera ? with_flash : without_flash).push_back(k);
@@ -204,7 +204,7 @@ AcquisitionResult solve_acquisition(const stream::Store& store, const Scene& sce
       for (const std::size_t k : photographs)
         if (number == 0 || input.photographs[k].flash_in_camera) result.light_of_photograph[k] = number;
       for (const std::size_t k : photographs)
-        if (problem.exposures()[k] != 1) result.exposures[k] = problem.exposures()[k];
+        if (const OwnLight& own = problem.own_lights()[k]; own.exposure != 1 || own.ambient != 1) result.own_lights[k] = own;
       for (const std::size_t k : photographs)
         if (problem.strangers_found()[k]) result.strangers[k] = true;
       if (const Vec3d& shift = problem.flash_shift(); !shift.isZero()) {

@@ -10,6 +10,7 @@
 #include "optimize/gather.h"
 #include "optimize/light_solve.h"
 #include "optimize/observe.h"
+#include "optimize/own_light.h"
 #include "stream/base/budget.h"
 #include "stream/base/report.h"
 #include "stream/store/store.h"
@@ -59,9 +60,9 @@ struct SkyEvidence {
 struct AcquisitionResult {
   std::vector<LightSolution> lights;       ///< one for the acquisition (joint), or one per flash photograph (single, adam)
   std::vector<std::size_t> light_of_photograph;
-  std::vector<double> exposures;           ///< of each photograph: factor of its brightness that was taken out, 1 where it is like the others (optimize/exposure.h)
+  std::vector<OwnLight> own_lights;        ///< of each photograph: factors on its ambient light, and of its brightness that was taken out; 1 where it is like the others (optimize/own_light.h)
   Vec3d flash_shift = Vec3d::Zero();       ///< project units, camera axes: the flash stands that far from where the project has it (optimize/flash_place.h)
-  std::vector<bool> strangers;             ///< of each photograph: it shows something else than the others, and took no part (optimize/exposure.h)
+  std::vector<bool> strangers;             ///< of each photograph: it shows something else than the others, and took no part (optimize/strangers.h)
   std::size_t proxy_surfels = 0, proxy_seen = 0;
   double back_share = 0;
   int outer_iterations = 0;

@@ -38,7 +38,7 @@ struct Context {
   const LightSolution& solution;
   const std::vector<float>&gathered, &floor_flash;   ///< floor_flash empty: no floor
   const AlbedoOptions& options;
-  double exposure;
+  double exposure, ambient_scale, ambient_ln_sd;
   Vec3f flash, flash_cast;   ///< where it is, and where rays were cast to; scene frame of the proxy
   Vec3f camera;
 };
@@ -63,7 +63,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   }
   const double direct = lights.flash_intensity * static_cast<double>(s.flash);
   double sky = 0, ambient = 0;   // as it falls in, before its colour; mean of the channels
-  if (!c.options.direct_only) sky = c.photograph.ambient_scale * std::max(0.0, sky_irradiance(lights, s.sky, s.hidden));
+  if (!c.options.direct_only) sky = c.ambient_scale * std::max(0.0, sky_irradiance(lights, s.sky, s.hidden));
   const double by_floor = lights.floor_albedo * lights.flash_intensity * static_cast<double>(s.floor_flash);
   const float colour[3] = {band.r[i], band.g[i], band.b[i]};
   double indirect_mean = 0, total_mean = 0;
@@ -109,7 +109,8 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   const double noise_variance = c.photograph.noise.gain * std::max(0.0, static_cast<double>(colour[1])) + square(c.photograph.noise.read_sigma);
   const double own = square(errors.registration_px * relative_gradient(band, x, y, noise_variance)) + square(errors.spread * sd * static_cast<double>(band.spread[i])) +
                      square(errors.other_light * (1 - sd)) + square(errors.rest) + square(kHighlightSd * gloss.highlight);
-  out.sigma = static_cast<float>(std::sqrt(noise + own + square(shadow) + square(too_bright)));
+  const double ambient_factor = c.ambient_ln_sd * gloss.other * ambient / total_mean;   // of this photograph alone
+  out.sigma = static_cast<float>(std::sqrt(noise + own + square(shadow) + square(too_bright) + square(ambient_factor)));
   // Lights, normals and part of the rest are the same for all photographs of a surfel: they do not average out.
   const auto terms = static_cast<int>(c.solution.covariance.rows());
   double light = 0;
@@ -118,7 +119,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
     j[0] = gloss.direct * sd + gloss.other * sf;
     for (int k = 0; k < c.solution.sky_terms; ++k) {
       const auto at = static_cast<std::size_t>(k);
-      j[1 + k] = gloss.other * c.photograph.ambient_scale * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - lights.floor_albedo : 1.0) * static_cast<double>(s.hidden[at])) / total_mean;
+      j[1 + k] = gloss.other * c.ambient_scale * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - lights.floor_albedo : 1.0) * static_cast<double>(s.hidden[at])) / total_mean;
     }
     int next = 1 + c.solution.sky_terms;
     if (c.solution.sky_colour) {   // ln red and ln blue, in the mean over the channels
@@ -126,7 +127,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
       j[next++] = gloss.other * lights.sky_colour[2] * sky / (3 * total_mean);
     }
     if (lights.floor)
-      j[next++] = gloss.other * (lights.flash_intensity * static_cast<double>(s.floor_flash) + c.photograph.ambient_scale * lights.sky[0] * static_cast<double>(s.hidden[0])) / total_mean;
+      j[next++] = gloss.other * (lights.flash_intensity * static_cast<double>(s.floor_flash) + c.ambient_scale * lights.sky[0] * static_cast<double>(s.hidden[0])) / total_mean;
     if (lights.gloss.on) {
       j[next++] = gloss.reflectance;
       j[next++] = gloss.roughness;
@@ -152,7 +153,7 @@ AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, con
   for (const char* name : names) planes.push_back({name, stream::PlaneType::kF32});
   stream::RasterWriter out(raster, width, height, planes);
   const Vec3d flash = flash_in_world - scene.proxy.origin_in_world;
-  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.exposure, (flash + inputs.flash_shift).cast<float>(), flash.cast<float>(),
+  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.own.exposure, photograph.ambient_scale * inputs.own.ambient, inputs.own.ambient_ln_sd, (flash + inputs.flash_shift).cast<float>(), flash.cast<float>(),
                         (photograph.camera.pose.centre_in_world() - scene.proxy.origin_in_world).cast<float>()};
   AlbedoStats stats;
   std::vector<float> sigmas;

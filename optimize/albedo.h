@@ -16,7 +16,7 @@ struct AlbedoOptions {
 struct AlbedoInputs {
   std::filesystem::path gathered, floor_flash;   ///< floor_flash is read where the lights have a floor
   Vec3d flash_shift = Vec3d::Zero();             ///< in the world: where the flash was found, from where rays were cast to
-  double exposure = 1;                           ///< factor of the photograph's brightness to take out
+  OwnLight own;                                  ///< factors on the photograph's ambient light, and of its brightness to take out
 };
 
 struct AlbedoStats {

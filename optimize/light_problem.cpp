@@ -5,7 +5,6 @@
 #include <cmath>
 
 #include "optimize/albedo_mean.h"
-#include "optimize/exposure.h"
 #include "optimize/flash_place.h"
 #include "optimize/light_checks.h"
 #include "optimize/proxy_file.h"
@@ -21,9 +20,8 @@ constexpr double kSweepTolerance = 1e-5;
 /// Pairs of one photograph overlap and texture is not noise: a fiftieth of their information counts as independent.
 constexpr double kPairInformation = 0.02;
 constexpr double kGuessSd = 0.35;   // of ln flash, around the guess that the brightest surfels reflect 80 %
-constexpr int kExposureRounds = 4;     ///< each one sees what the lights had taken for their own before
+constexpr int kOwnLightRounds = 5;     ///< each one sees what the lights had taken for their own before
 constexpr double kVeryStrong = 10;     ///< of the criterion, for a richer sky: what it gains is small, and what it loses where it is wrong is not (Kass and Raftery, "Bayes factors", 1995)
-constexpr int kTrialIterations = 15;   ///< from a settled start: enough to compare models
 constexpr int kPlaceRounds = 5;
 constexpr double kPlaceChi2 = 1.5;     ///< the deviations are conservative: at most 0.7 on five scenes whose flash is where it is said to be; 1, 2 and 3 cm beside: 2.6, 8.6, 22
 constexpr double kExplained = 0.5;     ///< of the residuals' deviation, in expected ones: 0.2 to 0.33 on diffuse scenes, 0.6 under a sky and a floor that no model follows, 1.5 on a glossy one
@@ -31,7 +29,6 @@ constexpr double kImproved = 0.98;     ///< of that deviation: 0.965 for 1 cm, 0
 constexpr double kPlaceSdMetres = 0.03, kFarthestMetres = 0.06;   ///< how well people measure where the flash is; nobody mistakes more
 constexpr double kLeastStepMetres = 5e-4;
 constexpr double kGlossyBounceSd = 0.05;   ///< least deviation of the factor on gathered light where surfaces mirror: they throw more one way than another
-constexpr std::size_t kTrialGroups = 5000;   ///< of surfels: no more than a few hundred of them are independent
 constexpr std::array kRoughnessStarts{0.12, 0.2, 0.3, 0.45};   ///< a broad lobe is another minimum: it passes for a change of the lights
 constexpr std::size_t kGlossLooks = 3;     ///< photographs of one place that tell a highlight from the rest
 constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
@@ -76,6 +73,15 @@ void blend_into(std::vector<float>& values, const std::vector<float>& before, do
   });
 }
 
+/// What else leaves the lights open: covariance of ln flash and of the ambient light, the second in units of `ambient`.
+void add_uncertainty(const Eigen::Matrix2d& covariance, double ambient, LightSolution& solution) {
+  solution.covariance(0, 0) += covariance(0, 0);
+  if (solution.sky_terms == 0) return;
+  solution.covariance(1, 1) += ambient * ambient * covariance(1, 1);
+  solution.covariance(0, 1) += ambient * covariance(0, 1);
+  solution.covariance(1, 0) = solution.covariance(0, 1);
+}
+
 }  // namespace
 
 std::filesystem::path observation_path(const std::filesystem::path& folder, std::size_t k) { return folder / concat("observation_", k, ".bin"); }
@@ -114,7 +120,7 @@ void guess_flash(const Scene& scene, const AcquisitionInput& input, const std::f
 
 LightProblem::LightProblem(const Scene& scene, const Smoother& smoother, const AcquisitionInput& input, const AcquisitionOptions& options, std::vector<std::size_t> photographs,
                            const std::filesystem::path& folder, double bounce_sd)
-    : bounce_sd_(bounce_sd), scene_(scene), smoother_(smoother), input_(input), options_(options), photographs_(std::move(photographs)), folder_(folder), times_seen_(scene.proxy.size(), 0), exposures_(input.photographs.size(), 1.0), strangers_(input.photographs.size(), false) {
+    : bounce_sd_(bounce_sd), scene_(scene), smoother_(smoother), input_(input), options_(options), photographs_(std::move(photographs)), folder_(folder), times_seen_(scene.proxy.size(), 0), own_(input.photographs.size()), strangers_(input.photographs.size(), false) {
   for (const std::size_t k : photographs_) {
     const Observation o = read(k);
     for (std::size_t i = 0; i < times_seen_.size(); ++i) times_seen_[i] = static_cast<std::uint16_t>(times_seen_[i] + o.seen[i]);
@@ -155,7 +161,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
     const bool settled = outer > kBounceCheck && change < kOuterTolerance;
     const bool estranged = outer == kBounceCheck && leave_out_strangers(solution.lights);
     const bool near = outer > kBounceCheck && change < kSettled;
-    const bool evened = estranged || (near && ((exposure_rounds_ < kExposureRounds && even_exposures(solution.lights)) || (place_rounds_ < kPlaceRounds && move_flash(solution, light_options))));
+    const bool evened = estranged || (near && ((!own_light_settled_ && own_light_rounds_ < kOwnLightRounds && find_own_light(start, solution)) || (place_rounds_ < kPlaceRounds && move_flash(solution, light_options))));
     bool chose = false, richer = false;
     const bool decide = !evened && (change < kSettled || outer + 1 == most) && outer > kBounceCheck;
     if (decide && try_gloss) {
@@ -168,6 +174,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
       richer = choose_richer_sky(start, solution);
     }
     albedo = mean_albedo(solution.lights);
+    if (richer) own_light_settled_ = false;
     if (!evened && settled && !richer) break;
     if (evened || chose) most = outer + 1 + options_.outer_iterations;
     if (!evened && outer > 0) relaxation.observe(light_step(before, solution.lights));
@@ -177,7 +184,8 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   sweep(solution.lights, albedo, kFirstSweeps, relaxation.share());
   albedo_ = mean_albedo(solution.lights);
   if (!use_pairs_) errors_ = estimate_errors(samples_, solution.lights);
-  if (!flash_shift_.isZero()) add_place_uncertainty(solution);
+  if (!flash_shift_.isZero()) add_uncertainty(place_.lights_covariance, solution.lights.sky[0], solution);
+  add_uncertainty(own_lights_covariance_, 1, solution);
   return solution;
 }
 
@@ -194,36 +202,6 @@ void LightProblem::look_for_flash(Lights& lights) {
 std::vector<std::string> LightProblem::notes(const LightSolution& solution) const {
   const std::string who = concat(input_.names[photographs_[0]], photographs_.size() > 1 ? " and the others of the acquisition" : "");
   return light_notes(input_, samples_, solution, who, use_pairs_, lit_);
-}
-
-/// A photograph of something else takes no part in finding the lights. Returns whether there is one.
-bool LightProblem::leave_out_strangers(const Lights& lights) {
-  if (use_pairs_) return false;
-  const std::vector<bool> found = strangers(samples_, lights, input_.photographs.size());
-  for (std::size_t k = 0; k < found.size(); ++k) strangers_[k] = strangers_[k] || found[k];
-  return std::any_of(found.begin(), found.end(), [](bool b) { return b; });
-}
-
-/// Takes the factor of brightness out of photographs that are clearly off. Returns whether there were any.
-bool LightProblem::even_exposures(const Lights& lights) {
-  ++exposure_rounds_;
-  if (use_pairs_) return false;
-  const std::vector<double> found = unlike_exposures(samples_, lights, exposures_);
-  bool any = false;
-  for (const std::size_t k : photographs_) {
-    if (std::fabs(std::log(found[k])) < kSettled) continue;
-    any = true;
-    exposures_[k] *= found[k];
-    const float factor = static_cast<float>(1 / found[k]);
-    Observation o = read(k);
-    for (std::size_t i = 0; i < o.seen.size(); ++i)
-      for (std::size_t c = 3 * i; o.seen[i] && c < 3 * i + 3; ++c) o.radiosity[c] *= factor;
-    write_observation(o, observation_path(folder_, k));
-    for (ReferenceReading& r : references_)
-      if (r.photograph == k)
-        for (float& b : r.reference.sample.radiosity) b *= factor;
-  }
-  return any;
 }
 
 /// Where the flash stands by what has been found so far.
@@ -246,6 +224,7 @@ bool LightProblem::move_flash(const LightSolution& solution, const LightSolveOpt
     return false;
   const Vec3d step = place_.shift_in_camera - flash_shift_;
   if (step.norm() * input_.metres_per_unit < kLeastStepMetres) return false;
+  own_light_settled_ = false;
   const Vec3d origin = scene_.proxy.origin_in_world;
   std::vector<std::optional<Vec3d>> before;
   for (std::size_t k = 0; k < input_.photographs.size(); ++k) before.push_back(flash_of(k));
@@ -262,16 +241,6 @@ bool LightProblem::move_flash(const LightSolution& solution, const LightSolveOpt
       if (r.photograph == k) r.reference.sample.flash *= factor(k, r.place, r.normal);
   }
   return true;
-}
-
-/// What the flash's place leaves open is part of what is not known about the lights.
-void LightProblem::add_place_uncertainty(LightSolution& solution) const {
-  solution.covariance(0, 0) += place_.lights_covariance(0, 0);
-  if (solution.sky_terms == 0) return;
-  const double ambient = solution.lights.sky[0];
-  solution.covariance(1, 1) += ambient * ambient * place_.lights_covariance(1, 1);
-  solution.covariance(0, 1) += ambient * place_.lights_covariance(0, 1);
-  solution.covariance(1, 0) = solution.covariance(0, 1);
 }
 
 Viewpoint LightProblem::viewpoint(std::size_t k) const {

@@ -11,11 +11,14 @@
 #include "optimize/gloss_light.h"
 #include "optimize/light_samples.h"
 #include "optimize/light_step.h"
+#include "optimize/own_light.h"
 #include "optimize/sky_shape.h"
 
 namespace chiaro::optimize {
 
 inline constexpr double kOuterTolerance = 3e-5, kSettled = 1e-3;   ///< of light_change(): over, and near enough
+inline constexpr int kTrialIterations = 15;           ///< from a settled start: enough to compare models
+inline constexpr std::size_t kTrialGroups = 5000;     ///< of surfels: no more than a few hundred of them are independent
 
 class LightProblem {
  public:
@@ -29,9 +32,9 @@ class LightProblem {
 
   const std::vector<std::uint16_t>& times_seen() const { return times_seen_; }
   std::size_t num_references() const { return references_.size(); }
-  /// Of the photographs of the input: factors that were taken out.
-  const std::vector<double>& exposures() const { return exposures_; }
-  /// Of the photographs of the input: those that show something else than the others (optimize/exposure.h) and took no part.
+  /// Of the photographs of the input: factors on their ambient light, and of brightness that were taken out.
+  const std::vector<OwnLight>& own_lights() const { return own_; }
+  /// Of the photographs of the input: those that show something else than the others (optimize/strangers.h) and took no part.
   const std::vector<bool>& strangers_found() const { return strangers_; }
   /// From where the project has the flash, camera axes, metres; nothing where that explains the photographs well enough.
   const Vec3d& flash_shift() const { return flash_shift_; }
@@ -48,16 +51,16 @@ class LightProblem {
  private:
   void look_for_flash(Lights& lights);
   bool leave_out_strangers(const Lights& lights);
-  bool even_exposures(const Lights& lights);
+  void take_out_exposure(std::size_t k, double factor);
+  bool find_own_light(const Lights& start, const LightSolution& solution);
   std::optional<Vec3d> flash_of(std::size_t k) const;
   bool move_flash(const LightSolution& solution, const LightSolveOptions& options);
-  void add_place_uncertainty(LightSolution& solution) const;
   LightSolveOptions current_options(const Lights& start) const;
   Viewpoint viewpoint(std::size_t k) const;
   bool choose_gloss(const Lights& start, LightSolution& solution);
   bool choose_richer_sky(const Lights& start, LightSolution& solution);
   void check_bounces(const LightSolveOptions& options, LightSolution& solution);
-  double ambient_scale(std::size_t k) const { return input_.photographs[k].ambient_scale; }
+  double ambient_scale(std::size_t k) const { return input_.photographs[k].ambient_scale * own_[k].ambient; }
   void add_sample(std::size_t k, const Observation& o, const std::vector<float>& g, std::size_t i, std::uint32_t group);
   Observation read(std::size_t k) const;
   void sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share);
@@ -72,7 +75,8 @@ class LightProblem {
   const std::vector<std::size_t> photographs_;
   const std::filesystem::path folder_;
   std::vector<std::uint16_t> times_seen_;
-  std::vector<double> exposures_;
+  std::vector<OwnLight> own_;
+  Eigen::Matrix2d own_lights_covariance_ = Eigen::Matrix2d::Zero();
   std::vector<bool> strangers_;
   std::vector<std::uint32_t> nearest_seen_, chosen_;
   std::vector<Pair> pairs_;
@@ -85,9 +89,9 @@ class LightProblem {
   std::optional<double> ambient_guess_;
   FlashPlace place_;
   Vec3d flash_shift_ = Vec3d::Zero();
-  int exposure_rounds_ = 0, place_rounds_ = 0;
+  int own_light_rounds_ = 0, place_rounds_ = 0;
   std::optional<double> gloss_evidence_;
-  bool gloss_ = false, use_pairs_ = false, without_bounces_ = false, lit_ = true;
+  bool gloss_ = false, use_pairs_ = false, own_light_settled_ = false, without_bounces_ = false, lit_ = true;
 };
 
 /// The lights that a search starts from.

@@ -102,13 +102,16 @@ LightVector light_derivative(const Lights& x, const LightSample& s, int c, const
 }
 
 bool deviations(const Lights& x, const Lights& weigh, std::span<const LightSample> samples, int c, const LightLayout& layout, double cauchy_scale, bool with_derivatives, Deviations& d) {
+  d.sample.clear();
   d.r.clear();
   d.w.clear();
   d.shadow.clear();
   d.j.clear();
-  for (const LightSample& s : samples) {
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    const LightSample& s = samples[i];
     const double h = irradiance(x, s, c), b = body_radiosity(x, s, c);
     if (!(h > 0) || !(b > 0)) continue;
+    d.sample.push_back(static_cast<std::uint32_t>(i));
     d.r.push_back(std::log(b / h));
     d.w.push_back(sample_weight(weigh, s) * static_cast<double>(s.trust));
     if (!with_derivatives) continue;

@@ -38,6 +38,7 @@ LightVector light_derivative(const Lights& lights, const LightSample& sample, in
 
 /// One group, one channel: residuals with the shared log albedo removed.
 struct Deviations {
+  std::vector<std::uint32_t> sample;          ///< of each residual: its place among the samples; those that say nothing have none
   std::vector<double> r, w, robust, shadow;   ///< robust: factor on w in the mean. shadow: share of the gathered light where it prevails, else 0
   std::vector<LightVector> j;
   double mean_r = 0;

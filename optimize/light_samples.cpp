@@ -157,6 +157,7 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
   const double green = colour[1] / count, uneven = std::sqrt(std::max(0.0, squares / count - green * green)) / green;
   reading.reference.sigma = std::hypot(target.sigma, 0.005, 0.5 * uneven);
   LightSample& s = reading.reference.sample;
+  s.photograph = static_cast<std::uint32_t>(target.photograph);
   for (int c = 0; c < 3; ++c) s.radiosity[static_cast<std::size_t>(c)] = static_cast<float>(3.14159265358979 * colour[c] / count);
   s.flash = static_cast<float>(flash / count);
   s.spread = static_cast<float>(spread / count);

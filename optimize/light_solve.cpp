@@ -327,7 +327,9 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
   Normal outside;
   add_references(x, x, references, layout, outside);
   add_priors(x, x, options, layout, outside);
-  const Eigen::MatrixXd meat = whole(here.meat, p) + whole(outside.a, p);
+  solution.outside = whole(outside.a, p);
+  solution.outside_misfit = outside.objective;
+  const Eigen::MatrixXd meat = whole(here.meat, p) + solution.outside;
   const Eigen::VectorXd systematic = kShadowSd * (bread * here.shadow.head(p));
   solution.covariance = bread * meat * bread.transpose() + systematic * systematic.transpose();
   return solution;

@@ -70,6 +70,8 @@ struct LightSolution {
   int sky_terms = 0;
   bool sky_colour = false;
   Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), ln red and ln blue of the sky if solved, floor_albedo if there is one, ln reflectance and ln roughness of a coat, bounce): sandwich estimate, priors and the common error of gathered light included
+  Eigen::MatrixXd outside;                    ///< information of priors and references about the same parameters
+  double outside_misfit = 0;                  ///< -ln likelihood of these
   double scatter = 0;                         ///< robust standard deviation of ln albedo between samples of a group
   std::size_t groups = 0, samples = 0;
   int iterations = 0;

@@ -217,11 +217,13 @@ class Pipeline {
     h.add(fingerprint).add(static_cast<std::uint64_t>(a.encoding));
     h.add(p.mask.empty() ? std::string("-") : file_fingerprint(p.mask));
     h.add(a.noise ? a.noise->gain : -1.0).add(a.noise ? a.noise->read_sigma : -1.0);
+    h.add(std::uint64_t{run_.project.method != SolveMethod::kNone});
     photo.radiance_key = h.hex();
     const Json info = run_.task("develop/" + p.key, photo.radiance_key, {run_.folder.radiance(p.key)}, [&] {
       stream::DevelopOptions options;
       options.encoding = develop_encoding(a.encoding);
       if (!p.mask.empty()) options.mask = p.mask;
+      options.find_clipping = run_.project.method != SolveMethod::kNone;   // there a picture is the colour itself, and may be of one
       if (a.noise) options.noise = stream::NoiseModel{a.noise->gain, a.noise->read_sigma, false};
       const stream::DevelopResult r = stream::develop(p.file, options, run_.folder.radiance(p.key), run_.report);
       return Json{{"width", r.width_px}, {"height", r.height_px}, {"noise_gain", r.noise.gain}, {"noise_read_sigma", r.noise.read_sigma}, {"noise_estimated", r.noise.estimated},
@@ -329,9 +331,12 @@ class Pipeline {
     });
     shoot.lights = lights_from_json(info);
     for (const std::string& n : shoot.lights.notes) run_.note_both(n);
-    for (std::size_t k = 0; k < shoot.lights.exposures.size(); ++k)
-      if (const double e = shoot.lights.exposures[k]; e != 1)
-        run_.note_both(concat(input.names[k], ": ", format_number(e, 3), " times as bright as the other photographs of its acquisition say; this was taken out before the lights were solved"));
+    for (std::size_t k = 0; k < shoot.lights.own_lights.size(); ++k) {
+      const optimize::OwnLight& own = shoot.lights.own_lights[k];
+      if (own.exposure != 1)
+        run_.note_both(concat(input.names[k], ": ", format_number(own.exposure, 3), " times as bright as the other photographs of its acquisition say; this was taken out before the lights were solved"));
+      if (own.ambient != 1) run_.note_both(concat(input.names[k], ": ambient light ", format_number(own.ambient, 3), " times that of the others, corrected"));
+    }
     if (shoot.lights.proxy_seen == 0 && input.method != Method::kDirect && input.method != Method::kAdam)
       throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph; are cameras and cloud in the same frame?"));
   }
@@ -374,7 +379,9 @@ class Pipeline {
     }
     Json errors = Json::array();
     for (const optimize::ErrorModel& e : r.errors) errors.push_back(error_json(e));
-    return {{"gloss_evidence", r.gloss_evidence ? Json(*r.gloss_evidence) : Json()}, {"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"exposures", r.exposures}, {"strangers", r.strangers}, {"flash_shift", {r.flash_shift[0], r.flash_shift[1], r.flash_shift[2]}}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
+    Json own = Json::array();
+    for (const optimize::OwnLight& o : r.own_lights) own.push_back({o.ambient, o.exposure, o.ambient_ln_sd});
+    return {{"gloss_evidence", r.gloss_evidence ? Json(*r.gloss_evidence) : Json()}, {"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"own_lights", own}, {"strangers", r.strangers}, {"flash_shift", {r.flash_shift[0], r.flash_shift[1], r.flash_shift[2]}}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
             {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
   }
 
@@ -407,7 +414,7 @@ class Pipeline {
     for (const Json& e : j["sky_evidence"]) r.sky_evidence.push_back({e["model"].get<std::string>(), e["parameters"].get<int>(), e["criterion"].get<double>()});
     for (const Json& e : j["errors"]) r.errors.push_back({e["normal_rad"], e["registration_px"], e["other_light"], e["spread"], e["rest"], e["estimated"]});
     r.light_of_photograph = j["light_of_photograph"].get<std::vector<std::size_t>>();
-    r.exposures = j["exposures"].get<std::vector<double>>();
+    for (const Json& o : j["own_lights"]) r.own_lights.push_back({o[0], o[1], o[2]});
     r.strangers = j["strangers"].get<std::vector<bool>>();
     for (int i = 0; i < 3; ++i) r.flash_shift[i] = j["flash_shift"][static_cast<std::size_t>(i)];
     r.proxy_surfels = j["proxy_surfels"];
@@ -443,7 +450,7 @@ class Pipeline {
         options.errors = lead.lights.errors[lead.lights.light_of_photograph[k]];
         const Vec3d flash = photo.camera.pose.world_from_camera(a.flash->offset_in_camera);
         const optimize::AlbedoStats s = optimize::solve_albedo(*scene, run_.observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
-                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), photo.camera.pose.rotation_camera_from_world.transpose() * lead.lights.flash_shift, lead.lights.exposures[k]}, options, raster, run_.report);
+                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), photo.camera.pose.rotation_camera_from_world.transpose() * lead.lights.flash_shift, lead.lights.own_lights[k]}, options, raster, run_.report);
         optimize::write_albedo_pictures(raster, pictures);
         return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
       });
@@ -519,8 +526,12 @@ class Pipeline {
     if (!lights.sky_evidence.empty()) a["sky_evidence"] = evidence_json(lights.sky_evidence);
     if (lights.gloss_evidence) a["gloss_evidence"] = *lights.gloss_evidence;
     a["proxy_surfels"] = lights.proxy_surfels;
-    for (const Photo& p : shoot.photos)
-      if (lights.exposures.size() > p.index_in_lights && lights.exposures[p.index_in_lights] != 1) a["exposures"][p.input->key] = lights.exposures[p.index_in_lights];
+    for (const Photo& p : shoot.photos) {
+      if (p.index_in_lights >= lights.own_lights.size()) continue;
+      const optimize::OwnLight& own = lights.own_lights[p.index_in_lights];
+      if (own.exposure != 1) a["exposures"][p.input->key] = own.exposure;
+      if (own.ambient != 1) a["ambient_factors"][p.input->key] = {{"factor", own.ambient}, {"sd", own.ambient * own.ambient_ln_sd}};
+    }
     if (const Vec3d& shift = lights.flash_shift; !shift.isZero()) a["flash_shift_in_camera"] = {shift[0], shift[1], shift[2]};
     a["how"] = how_found(shoot);
     const Acquisition& input = *shoot.acquisition;

@@ -8,6 +8,7 @@
 #include "stream/base/error.h"
 #include "stream/photo/image_io.h"
 #include "stream/photo/noise.h"
+#include "stream/photo/plateau.h"
 #include "stream/photo/raster.h"
 #include "stream/photo/raw.h"
 
@@ -32,6 +33,8 @@ class Source {
   virtual void read(Band& band) = 0;
   int width = 0, height = 0;
   bool dilate = false;
+  bool no_white = false;              ///< nothing says where white is
+  std::array<std::optional<float>, 3> clipped;   ///< values from here on are saturated
   double quantum = 0;  ///< spacing of the linear values near black; 0 for floats
   std::vector<std::string> notes;
 };
@@ -59,6 +62,7 @@ class PictureSource : public Source {
     dilate = info.bits == 8;
     if (!info.is_float) limit_ = options.saturation * options.white.value_or(1.0);
     if (info.is_float && options.white) limit_ = options.saturation * *options.white;
+    no_white = info.is_float && !options.white;
     if (decode_) {
       const std::size_t codes = info.bits == 8 ? 256 : 65536;
       for (std::size_t i = 0; i < codes; ++i) curve_.push_back(static_cast<float>(linear_from_srgb(static_cast<double>(i) / static_cast<double>(codes - 1))));
@@ -75,6 +79,8 @@ class PictureSource : public Source {
       const float* in = values_.data() + i * num;
       float rgb[3] = {in[0], in[grey ? 0 : 1], in[grey ? 0 : 2]};
       if (limit_ > 0 && (rgb[0] >= static_cast<float>(limit_) || rgb[1] >= static_cast<float>(limit_) || rgb[2] >= static_cast<float>(limit_))) band.flags[i] |= kSaturated;
+      for (std::size_t c = 0; c < 3; ++c)
+        if (clipped[c] && rgb[c] >= *clipped[c]) band.flags[i] |= kSaturated;
       if (decode_)
         for (float& v : rgb) v = curve_[static_cast<std::size_t>(std::lround(v * static_cast<float>(curve_.size() - 1)))];
       set_pixel(band, i, rgb);
@@ -200,6 +206,36 @@ std::unique_ptr<Source> open_source(const fs::path& photograph, const DevelopOpt
   return std::make_unique<PictureSource>(photograph, options);
 }
 
+/// Sizes a band for the rows from y0 on and fills it; flags say what can be used.
+void read_band(Source& source, std::optional<MaskSource>& mask, int y0, Band& band) {
+  band.y0 = y0;
+  band.rows = std::min(kBandRows, source.height - y0);
+  const std::size_t num_pixels = static_cast<std::size_t>(band.rows) * static_cast<std::size_t>(source.width);
+  for (auto& plane : band.rgb) plane.resize(num_pixels);
+  band.flags.assign(num_pixels, mask ? std::uint8_t{0} : std::uint8_t{kUsableByMask});
+  source.read(band);
+  if (mask) mask->apply(band);
+}
+
+std::vector<std::uint8_t> usable(const Band& band) {
+  std::vector<std::uint8_t> good(band.flags.size());
+  std::transform(band.flags.begin(), band.flags.end(), good.begin(), [](std::uint8_t f) { return static_cast<std::uint8_t>(f == kUsableByMask); });
+  return good;
+}
+
+/// A pass over the picture before it is developed.
+void find_clipping(Source& source, std::optional<MaskSource>& mask, Reporter& reporter) {
+  std::array<PlateauFinder, 3> finders;
+  Band band;
+  for (int y0 = 0; y0 < source.height; y0 += kBandRows) {
+    reporter.check();
+    read_band(source, mask, y0, band);
+    const std::vector<std::uint8_t> good = usable(band);
+    for (std::size_t c = 0; c < 3; ++c) finders[c].add(band.rgb[c], good);
+  }
+  for (std::size_t c = 0; c < 3; ++c) source.clipped[c] = finders[c].level();
+}
+
 void count(DevelopResult& result, const std::vector<std::uint8_t>& mask) {
   for (const std::uint8_t m : mask) {
     result.pixels_used += m == kUsableByMask;
@@ -249,21 +285,14 @@ DevelopResult develop(const fs::path& photograph, const DevelopOptions& options,
   NoiseEstimator estimator(source->width, source->height);
   RowDilation dilation(source->width, source->height, source->dilate ? options.dilate_px : 0);
   reporter.begin(concat("develop ", photograph.filename().string()), static_cast<std::uint64_t>(source->height), "rows");
+  if (options.find_clipping && source->no_white) find_clipping(*source, mask, reporter);
+  std::uint64_t clipped = 0;
   Band band;
-  std::vector<std::uint8_t> good;
-  for (band.y0 = 0; band.y0 < source->height; band.y0 += kBandRows) {
+  for (int y0 = 0; y0 < source->height; y0 += kBandRows) {
     reporter.check();
-    band.rows = std::min(kBandRows, source->height - band.y0);
-    const std::size_t num_pixels = static_cast<std::size_t>(band.rows) * static_cast<std::size_t>(source->width);
-    for (auto& plane : band.rgb) plane.resize(num_pixels);
-    band.flags.assign(num_pixels, mask ? std::uint8_t{0} : std::uint8_t{kUsableByMask});
-    source->read(band);
-    if (mask) mask->apply(band);
-    if (!options.noise) {
-      good.resize(num_pixels);
-      std::transform(band.flags.begin(), band.flags.end(), good.begin(), [](std::uint8_t f) { return static_cast<std::uint8_t>(f == kUsableByMask); });
-      estimator.add_band(band.y0, band.rows, band.rgb, good);
-    }
+    read_band(*source, mask, y0, band);
+    if (!options.noise) estimator.add_band(band.y0, band.rows, band.rgb, usable(band));
+    clipped += static_cast<std::uint64_t>(std::count(band.flags.begin(), band.flags.end(), kUsableByMask | kSaturated));
     constexpr std::array<const char*, 3> kPlanes = {"r", "g", "b"};
     for (std::size_t c = 0; c < 3; ++c) writer.write_rows(kPlanes[c], band.y0, std::span<const float>(band.rgb[c]));
     for (int y = 0; y < band.rows; ++y)
@@ -274,6 +303,8 @@ DevelopResult develop(const fs::path& photograph, const DevelopOptions& options,
     reporter.progress(static_cast<std::uint64_t>(band.y0 + band.rows));
   }
   writer.commit();
+  if (source->no_white && clipped > 0)
+    result.notes.push_back(concat(photograph.filename().string(), ": ", clipped, " pixels share the brightest value of the file: taken as clipped, they count as saturated"));
   set_noise(result, options, estimator, *source);
   reporter.end();
   return result;

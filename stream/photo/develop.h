@@ -30,7 +30,7 @@ Encoding encoding_from_name(const std::string& name);
 /// Bits of the plane "mask".
 enum MaskBit : std::uint8_t {
   kUsableByMask = 1,  ///< the user's mask allows it (or there is none)
-  kSaturated = 2,     ///< a channel reaches the white level, or a pixel within dilate_px does
+  kSaturated = 2,     ///< a channel reaches the white level or lies on a plateau of clipped values, or a pixel within dilate_px does
   kNotFinite = 4,     ///< a channel is NaN or infinite, or the file holds no data there; its values are written as 0
 };
 
@@ -40,6 +40,7 @@ struct DevelopOptions {
   std::optional<NoiseModel> noise;            ///< estimated from the picture where absent
   double saturation = 0.98;                   ///< share of white from which on a value counts as saturated; compared before linearisation
   std::optional<double> white;                ///< white level in the file's values; default 1 for integer files and RAW (largest code, the camera's white), none for floats
+  bool find_clipping = false;                 ///< files of floats without a white level: a plateau at the brightest value of a channel (plateau.h) counts as saturated; reads the file twice
   int dilate_px = 2;                          ///< around saturated pixels of RAW and 8-bit files, where sharpening and blooming reach
 };
 

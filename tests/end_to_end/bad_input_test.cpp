@@ -54,6 +54,39 @@ TEST_F(BadInput, OnePhotographOfAConvexBodySaysHowLittleItTells) {
   EXPECT_LE(std::fabs(std::log(error_of(s).factor)), 2 * median_sigma());
 }
 
+TEST_F(BadInput, APhotographUnderAnotherAmbientLightIsNamedAndCorrected) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  const TinyScene s = scene(options);
+  options.ambient_radiance *= 2;
+  const TinyScene lamp = scene(options, "lamp");
+  fs::copy_file(lamp.folder / "photos/photo_02.exr", s.folder / "photos/photo_02.exr", fs::copy_options::overwrite_existing);
+  change(s, 2, [](float v, std::size_t) { return 0.8f * v; });
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("photo_02: ambient light "));
+  EXPECT_NEAR(lights().at("ambient_factors").at("photo_02").at("factor").get<double>(), 2, 0.1);
+  EXPECT_NEAR(lights().at("exposures").at("photo_02").get<double>(), 0.8, 0.02);
+  EXPECT_EQ(lights().at("ambient_factors").size(), 1u);
+  EXPECT_EQ(lights().at("exposures").size(), 1u);
+  EXPECT_LE(error_of(s).absolute, 0.02);
+}
+
+TEST_F(BadInput, APhotographThatWasOverexposedAndClippedIsReadWhereItIsNot) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  const TinyScene s = scene(options);
+  const stream::Image before = stream::read_image(s.folder / "photos/photo_01.exr");
+  const float white = *std::max_element(before.values.begin(), before.values.end());
+  change(s, 1, [white](float v, std::size_t) { return std::min(2 * v, white); });
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(json("out/run.json").at("notes").dump(), HasSubstr("photo_01.exr: "));
+  EXPECT_THAT(json("out/run.json").at("notes").dump(), HasSubstr("pixels share the brightest value of the file"));
+  EXPECT_NEAR(lights().at("exposures").at("photo_01").get<double>(), 2, 0.04);
+  EXPECT_LE(error_of(s).absolute, 0.02);
+}
+
 TEST_F(BadInput, WithoutAnyCalibrationOnlyRatiosAreClaimed) {
   TinySceneOptions options;
   options.photographs = 1;

@@ -93,6 +93,7 @@ bool mask(Bytes bytes) {
     stream::DevelopOptions options;
     options.mask = path;
     options.noise = stream::NoiseModel{1e-4, 1e-3};
+    options.find_clipping = true;
     stream::develop(photograph, options, folder() / "photo.raster", silent_reporter());
   });
 }

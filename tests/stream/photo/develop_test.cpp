@@ -8,6 +8,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "stream/base/error.h"
+#include "stream/base/rng.h"
 #include "stream/photo/image_io.h"
 #include "stream/photo/noise.h"
 #include "stream/photo/raster.h"
@@ -91,6 +93,57 @@ TEST_F(Develop, FloatsHaveNoWhiteUnlessGivenAndBadValuesAreMarked) {
   EXPECT_EQ(raster().all<std::uint8_t>("mask")[3], kUsableByMask | kSaturated);
   options.encoding = Encoding::kSrgb;
   EXPECT_NE(error_of([&] { run(path("a.exr"), options); }).find("expected \"linear\""), std::string::npos);
+}
+
+/// Noise about a ramp; what is brighter than `white` is clipped.
+std::vector<float> clipped_ramp(int width, int height, float white) {
+  std::vector<float> values;
+  for (int i = 0; i < width * height; ++i)
+    for (std::uint32_t c = 0; c < 3; ++c) {
+      const double level = 0.2 + 0.8 * (i % width) / width, noise = std::exp(0.02 * normal01(3, Purpose::kTest, static_cast<std::uint64_t>(i), c));
+      values.push_back(std::min(white, static_cast<float>((c == 2 ? 0.4 : 1.0) * level * noise)));
+    }
+  return values;
+}
+
+TEST_F(Develop, APlateauOfClippedFloatsIsSaturated) {
+  for (const bool half : {false, true}) {
+    write_exr(path("a.exr"), 80, 70, {"R", "G", "B"}, clipped_ramp(80, 70, 0.75f), half);
+    DevelopOptions options;
+    options.find_clipping = true;
+    const DevelopResult result = run(path("a.exr"), options);
+    const auto mask = raster().all<std::uint8_t>("mask");
+    const auto red = raster().all<float>("r"), green = raster().all<float>("g");
+    std::size_t clipped = 0;
+    for (std::size_t i = 0; i < mask.size(); ++i) {
+      const bool is = red[i] == 0.75f || green[i] == 0.75f;
+      EXPECT_EQ(mask[i], is ? kUsableByMask | kSaturated : kUsableByMask) << i;
+      clipped += is;
+    }
+    EXPECT_GT(clipped, 1000u);
+    EXPECT_EQ(result.pixels_saturated, clipped);
+    ASSERT_FALSE(result.notes.empty());
+    EXPECT_EQ(result.notes.front(), concat("a.exr: ", clipped, " pixels share the brightest value of the file: taken as clipped, they count as saturated"));
+    options.find_clipping = false;
+    EXPECT_EQ(run(path("a.exr"), options).pixels_saturated, 0u);
+  }
+}
+
+TEST_F(Develop, WhatIsMaskedMakesNoPlateau) {
+  std::vector<float> values = clipped_ramp(80, 70, 9);
+  std::vector<std::uint8_t> picture(80 * 70, 255);
+  for (std::size_t i = 0; i < 80 * 10; ++i) {   // a white background
+    values[3 * i] = values[3 * i + 1] = values[3 * i + 2] = 20;
+    picture[i] = 0;
+  }
+  write_exr(path("a.exr"), 80, 70, {"R", "G", "B"}, values, false);
+  write_png_srgb8(path("mask.png"), 80, 70, picture, 1);
+  DevelopOptions options;
+  options.find_clipping = true;
+  options.mask = path("mask.png");
+  const DevelopResult result = run(path("a.exr"), options);
+  EXPECT_EQ(result.pixels_saturated, 0u);
+  EXPECT_EQ(result.pixels_used, 80u * 60u);
 }
 
 TEST_F(Develop, PixelsOutsideTheDataWindowHoldNoData) {

@@ -1,4 +1,4 @@
-#include "optimize/exposure.h"
+#include "optimize/strangers.h"
 
 #include <algorithm>
 #include <cmath>
@@ -78,21 +78,6 @@ std::vector<double> brightnesses(const std::vector<Reading>& readings, std::size
 }
 
 }  // namespace
-
-std::vector<double> unlike_exposures(std::span<const LightSample> samples, const Lights& lights, std::span<const double> known, const ExposureOptions& options) {
-  std::vector<double> factors(known.size(), 1.0);
-  std::vector<std::size_t> compared;
-  const std::vector<double> ln_factor = brightnesses(readings_of(samples, lights, 2), known.size(), options.least_surfels, compared);
-  if (compared.size() < 3) return factors;
-  std::vector<double> values;
-  for (const std::size_t k : compared) values.push_back(ln_factor[k]);
-  const double middle = median(values);
-  for (double& v : values) v = std::fabs(v - middle);
-  const double limit = std::max(std::log1p(options.least), options.least_scatters * 1.4826 * median(values));
-  for (const std::size_t k : compared)
-    if (known[k] != 1 || std::fabs(ln_factor[k] - middle) >= limit) factors[k] = std::exp(ln_factor[k] - middle);
-  return factors;
-}
 
 std::vector<bool> strangers(std::span<const LightSample> samples, const Lights& lights, std::size_t photographs, const StrangerOptions& options) {
   const std::vector<Reading> readings = readings_of(samples, lights, 3);

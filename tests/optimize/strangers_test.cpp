@@ -1,4 +1,4 @@
-#include "optimize/exposure.h"
+#include "optimize/strangers.h"
 
 #include <gtest/gtest.h>
 
@@ -41,54 +41,6 @@ std::vector<LightSample> samples_of(const std::vector<double>& factors, std::siz
 }
 
 const std::vector<double> kAlike(kPhotographs, 1.0);
-
-TEST(Exposure, FindsThePhotographThatIsUnlikeTheOthers) {
-  for (const double factor : {1.3, 0.6}) {
-    std::vector<double> factors = kAlike;
-    factors[2] = factor;
-    const std::vector<double> found = unlike_exposures(samples_of(factors), lights(), kAlike);
-    for (std::size_t k = 0; k < kPhotographs; ++k) EXPECT_NEAR(found[k], factors[k], k == 2 ? 0.01 * factor : 0.0) << k;
-  }
-}
-
-TEST(Exposure, FindsTwoOfSix) {
-  std::vector<double> factors = kAlike;
-  factors[0] = 1.5;
-  factors[4] = 0.8;
-  const std::vector<double> found = unlike_exposures(samples_of(factors), lights(), kAlike);
-  EXPECT_NEAR(found[0], 1.5, 0.03);
-  EXPECT_NEAR(found[4], 0.8, 0.02);
-  EXPECT_EQ(found[1], 1);
-}
-
-TEST(Exposure, LeavesSmallDifferencesAlone) {
-  EXPECT_EQ(unlike_exposures(samples_of(kAlike), lights(), kAlike), kAlike);
-  std::vector<double> factors{1.01, 0.985, 1.02, 0.99, 1.0, 1.015};
-  EXPECT_EQ(unlike_exposures(samples_of(factors), lights(), kAlike), kAlike);
-}
-
-TEST(Exposure, LeavesPhotographsAloneThatAllDiffer) {
-  const std::vector<double> factors{0.8, 0.87, 0.95, 1.05, 1.15, 1.25};   // nobody is unlike the others; the lights' model may be
-  EXPECT_EQ(unlike_exposures(samples_of(factors), lights(), kAlike), kAlike);
-}
-
-TEST(Exposure, CorrectsWhatRemainsOfAFactorByHoweverLittle) {
-  std::vector<double> factors = kAlike, known = kAlike;
-  factors[3] = 1.02;
-  known[3] = 1.25;
-  EXPECT_NEAR(unlike_exposures(samples_of(factors), lights(), known)[3], 1.02, 0.01);
-}
-
-TEST(Exposure, DoesNotJudgeBetweenTwoNorByFew) {
-  EXPECT_EQ(unlike_exposures(samples_of({1.0, 1.4}), lights(), std::vector<double>(2, 1.0)), std::vector<double>(2, 1.0));
-  std::vector<double> factors = kAlike;
-  factors[2] = 1.4;
-  EXPECT_EQ(unlike_exposures(samples_of(factors, 30), lights(), kAlike), kAlike);
-  std::vector<LightSample> dark = samples_of(factors);
-  for (LightSample& s : dark) s.flash_photograph = s.photograph != 2;
-  EXPECT_EQ(unlike_exposures(dark, lights(), kAlike), kAlike) << "photographs without flash take no part";
-  EXPECT_EQ(unlike_exposures({}, lights(), kAlike), kAlike);
-}
 
 // The photographs of another object: albedos that have nothing to do with those of the others.
 void replace_photograph(std::vector<LightSample>& samples, std::uint32_t photograph, double ln_spread) {

@@ -1,0 +1,375 @@
+#include "optimize/own_light.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "optimize/light_residuals.h"
+
+namespace chiaro::optimize {
+namespace {
+
+constexpr double kCauchy = 2.385;
+constexpr double kLeastScale = 0.1;    ///< as of solve_lights()
+constexpr double kStill = 1e-3;        ///< of ln factor: over
+constexpr double kLongestStep = 0.7;   ///< of ln factor
+constexpr std::size_t kTrials = 9;     ///< three photographs, in each of three ways
+constexpr std::size_t kAtOnce = 20;    ///< one photograph in so many is added at a time, at least one
+
+enum Kind : std::size_t { kAmbient, kExposure, kKinds };
+
+double median(std::vector<double> v) {
+  if (v.empty()) return 0;
+  const auto mid = v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2);
+  std::nth_element(v.begin(), mid, v.end());
+  return *mid;
+}
+
+/// What the samples say about the factors of all photographs, at the lights that suit them best. Row kKinds * photograph + kind is a factor's.
+struct Information {
+  Eigen::MatrixXd beside;               ///< with the lights, then with the factors in use
+  std::vector<Eigen::Matrix2d> own;     ///< of a photograph's two factors
+  Eigen::VectorXd gradient;
+  Eigen::MatrixXd shared;               ///< of lights and factors in use
+  Eigen::LDLT<Eigen::MatrixXd> solved;  ///< of `shared`
+};
+
+class Search {
+ public:
+  Search(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const LightSolution& solution,
+         std::span<const OwnLight> known, const OwnLightOptions& own)
+      : samples_(samples.begin(), samples.end()), references_(references.begin(), references.end()), options_(options), own_(own), groups_(groups_of(samples_)),
+        layout_{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss}, solution_(solution), before_(known.begin(), known.end()), now_(before_),
+        surfels_(known.size(), 0), with_flash_(known.size(), false) {
+    for (const SampleGroup& g : groups_) residuals_ += 3.0 * static_cast<double>(g.end - g.begin - 1);
+    residuals_ = std::max(1.0, residuals_);
+    independent_ = independent_residuals(samples_, options_);
+    for (const SampleGroup& g : groups_)
+      for (std::size_t i = g.begin; i < g.end; ++i) {
+        ++surfels_[samples_[i].photograph];
+        if (samples_[i].flash_photograph) with_flash_[samples_[i].photograph] = true;
+      }
+    for (std::size_t k = 0; k < known.size(); ++k) {
+      compared_ += surfels_[k] >= own.least_surfels;
+      if (known[k].ambient != 1) used_.push_back(kKinds * k + kAmbient);
+      if (known[k].exposure != 1) used_.push_back(kKinds * k + kExposure);
+      members_ += in_use(k);
+    }
+  }
+
+  OwnLights run() {
+    OwnLights found;
+    found.of = now_;
+    if (compared_ < 3) return found;
+    settle();
+    while (add()) {
+      settle();
+      if (!drop_small()) continue;
+      settle();
+      break;
+    }
+    found.of = now_;
+    if (used_.empty()) return found;
+    uncertainty(found);
+    return found;
+  }
+
+ private:
+  /// Lights and factors in use to where they suit the samples best.
+  void settle() {
+    for (int round = 0; round < own_.rounds; ++round) {
+      solve();
+      if (used_.empty() || step() < kStill) return;
+    }
+  }
+
+  bool in_use(std::size_t k) const { return uses(kKinds * k + kAmbient) || uses(kKinds * k + kExposure); }
+  bool uses(std::size_t factor) const { return std::find(used_.begin(), used_.end(), factor) != used_.end(); }
+
+  void solve() {
+    solution_ = solve_lights(samples_, references_, options_, solution_.lights);
+    const double scale = kCauchy * std::max(robust_scale(solution_.lights, samples_, groups_, layout_).first, kLeastScale), dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy));
+    scale_ = scale;
+    dispersion_ = dispersion;
+    gather(scale, independent_ / residuals_ / (dispersion * dispersion));
+  }
+
+  /// share: of the samples' information that counts.
+  void gather(double scale, double share) {
+    const auto p = static_cast<Eigen::Index>(layout_.size()), rows = static_cast<Eigen::Index>(kKinds * now_.size()), free = static_cast<Eigen::Index>(used_.size());
+    at_ = Information();
+    at_.beside = Eigen::MatrixXd::Zero(rows, p + free);
+    at_.own.assign(now_.size(), Eigen::Matrix2d::Zero());
+    at_.gradient = Eigen::VectorXd::Zero(rows);
+    Eigen::MatrixXd lights = Eigen::MatrixXd::Zero(p, p);
+    Deviations d;
+    for (const SampleGroup& g : groups_)
+      for (int c = 0; c < 3; ++c)
+        if (const auto samples = std::span(samples_).subspan(g.begin, g.end - g.begin); deviations(solution_.lights, solution_.lights, samples, c, layout_, scale, true, d)) add_group(samples, d, lights);
+    for (auto* m : {&at_.beside, &lights}) *m *= share;
+    at_.gradient *= share;
+    for (Eigen::Matrix2d& m : at_.own) m *= share;
+    const double weights[kKinds] = {1 / (own_.ambient_ln_sd * own_.ambient_ln_sd), 1 / (own_.exposure_ln_sd * own_.exposure_ln_sd)};
+    for (std::size_t k = 0; k < now_.size(); ++k)
+      for (std::size_t kind = 0; kind < kKinds; ++kind) {
+        at_.own[k](static_cast<Eigen::Index>(kind), static_cast<Eigen::Index>(kind)) += weights[kind];
+        at_.gradient[static_cast<Eigen::Index>(kKinds * k + kind)] -= weights[kind] * std::log(kind == kAmbient ? now_[k].ambient : now_[k].exposure);
+      }
+    at_.shared = Eigen::MatrixXd::Zero(p + free, p + free);
+    at_.shared.topLeftCorner(p, p) = lights + solution_.outside;
+    for (Eigen::Index f = 0; f < free; ++f) {
+      const auto row = static_cast<Eigen::Index>(used_[static_cast<std::size_t>(f)]);
+      at_.beside(row, p + f) += weights[used_[static_cast<std::size_t>(f)] % kKinds];
+      at_.shared.row(p + f) = at_.beside.row(row);
+      at_.shared.block(0, p + f, p, 1) = at_.beside.block(row, 0, 1, p).transpose();
+    }
+    for (Eigen::Index k = 0; k < p; ++k) at_.shared(k, k) += 1e-12;
+    at_.solved.compute(at_.shared);
+  }
+
+  /// The albedo that the samples share is eliminated: a change of one of them moves their mean.
+  void add_group(std::span<const LightSample> samples, const Deviations& d, Eigen::MatrixXd& lights) {
+    const Lights& x = solution_.lights;
+    const auto p = static_cast<Eigen::Index>(layout_.size());
+    double sum = 0;
+    effect_.resize(d.r.size());
+    for (std::size_t t = 0; t < d.r.size(); ++t) {
+      sum += d.w[t] * d.robust[t];
+      effect_[t] = {0.0, -1.0 - x.bounce * d.j[t][layout_.bounce()]};   // what is gathered is as bright as the photograph
+      for (int k = 0; k < layout_.sky_terms; ++k) effect_[t][kAmbient] += x.sky[static_cast<std::size_t>(k)] * d.j[t][1 + k];
+    }
+    for (std::size_t t = 0; t < d.r.size(); ++t) {
+      const double v = d.w[t] * d.robust[t];
+      const std::size_t k = samples[d.sample[t]].photograph;
+      const Eigen::VectorXd j = (d.j[t] - d.mean_j).head(p);
+      lights += v * j * j.transpose();
+      for (std::size_t kind = 0; kind < kKinds; ++kind) {
+        const auto row = static_cast<Eigen::Index>(kKinds * k + kind);
+        const double u = v * effect_[t][kind];
+        at_.gradient[row] -= u * (d.r[t] - d.mean_r);
+        at_.beside.row(row).head(p) += u * j.transpose();
+        for (std::size_t other = 0; other < kKinds; ++other)
+          at_.own[k](static_cast<Eigen::Index>(kind), static_cast<Eigen::Index>(other)) += u * effect_[t][other] * (1 - v / sum);
+        for (std::size_t f = 0; f < used_.size(); ++f)
+          for (std::size_t o = 0; o < d.r.size(); ++o)
+            if (samples[d.sample[o]].photograph == used_[f] / kKinds)
+              at_.beside(row, p + static_cast<Eigen::Index>(f)) += u * effect_[o][used_[f] % kKinds] * ((o == t ? 1.0 : 0.0) - d.w[o] * d.robust[o] / sum);
+      }
+    }
+  }
+
+  /// One step of the factors in use, the lights following. Returns how far the farthest moved.
+  double step() {
+    if (used_.empty()) return 0;
+    const Eigen::VectorXd x = at_.solved.solve(shared_gradient());
+    double farthest = 0;
+    std::vector<OwnLight> change(now_.size());
+    for (std::size_t f = 0; f < used_.size(); ++f) {
+      const double by = std::clamp(x[static_cast<Eigen::Index>(layout_.size()) + static_cast<Eigen::Index>(f)], -kLongestStep, kLongestStep);
+      (used_[f] % kKinds == kAmbient ? change[used_[f] / kKinds].ambient : change[used_[f] / kKinds].exposure) *= std::exp(by);
+      farthest = std::max(farthest, std::fabs(by));
+    }
+    apply(change);
+    return farthest;
+  }
+
+  void apply(const std::vector<OwnLight>& change) {
+    for (std::size_t k = 0; k < now_.size(); ++k) {
+      now_[k].ambient *= change[k].ambient;
+      now_[k].exposure *= change[k].exposure;
+    }
+    for (LightSample& s : samples_) change_own_light(s, change[s.photograph].ambient, change[s.photograph].exposure);
+    for (ReferenceSample& r : references_) change_own_light(r.sample, change[r.sample.photograph].ambient, change[r.sample.photograph].exposure);
+  }
+
+  /// The lights are where theirs is nothing.
+  Eigen::VectorXd shared_gradient() const {
+    Eigen::VectorXd g = Eigen::VectorXd::Zero(at_.shared.rows());
+    for (std::size_t f = 0; f < used_.size(); ++f) g[static_cast<Eigen::Index>(layout_.size()) + static_cast<Eigen::Index>(f)] = at_.gradient[static_cast<Eigen::Index>(used_[f])];
+    return g;
+  }
+
+  /// What freeing some factors of one photograph lowers twice the misfit by, with the lights and those in use following.
+  double gain(std::size_t k, std::initializer_list<Kind> kinds) const {
+    const auto n = static_cast<Eigen::Index>(kinds.size());
+    Eigen::MatrixXd beside(n, at_.shared.rows()), own(n, n);
+    Eigen::VectorXd g(n);
+    Eigen::Index row = 0;
+    for (const Kind a : kinds) {
+      beside.row(row) = at_.beside.row(static_cast<Eigen::Index>(kKinds * k + a));
+      g[row] = at_.gradient[static_cast<Eigen::Index>(kKinds * k + a)];
+      Eigen::Index column = 0;
+      for (const Kind b : kinds) own(row, column++) = at_.own[k](static_cast<Eigen::Index>(a), static_cast<Eigen::Index>(b));
+      ++row;
+    }
+    const Eigen::MatrixXd left = own - beside * at_.solved.solve(beside.transpose());
+    g -= beside * at_.solved.solve(shared_gradient());
+    return g.dot(left.ldlt().solve(g));
+  }
+
+  /// Photographs whose factors are small, or say little more than factors of the photographs that have none would say, lose them again. Returns whether there were any.
+  bool drop_small() {
+    std::vector<double> others;
+    for (std::size_t k = 0; k < now_.size(); ++k)
+      if (surfels_[k] >= own_.least_surfels && with_flash_[k] && !in_use(k)) others.push_back(std::max(gain(k, {kAmbient}), gain(k, {kExposure})));
+    const double least = own_.least_deviations * own_.least_deviations * median(others);
+    std::vector<OwnLight> change(now_.size());
+    bool any = false;
+    for (const Added& a : added_) {
+      const std::size_t k = a.photograph;
+      const bool large = std::fabs(std::log(now_[k].ambient)) >= own_.least_ambient || std::fabs(std::log(now_[k].exposure)) >= own_.least_exposure;
+      if (!in_use(k) || (large && a.chi2 >= least)) continue;
+      any = true;
+      --members_;
+      change[k] = {before_[k].ambient / now_[k].ambient, before_[k].exposure / now_[k].exposure};
+      std::erase_if(used_, [&](std::size_t f) { return f / kKinds == k; });
+    }
+    if (!any) return false;
+    apply(change);
+    for (std::size_t k = 0; k < now_.size(); ++k)
+      if (!in_use(k)) now_[k] = before_[k];   // to the last digit
+    return true;
+  }
+
+  /// A way to free factors of a photograph.
+  struct Candidate {
+    std::size_t photograph;
+    bool ambient, exposure;
+    double criterion;   ///< by the slope and the curvature of the misfit where it is; smaller is better
+  };
+
+  void consider(std::size_t k, std::vector<Candidate>& all) const {
+    if (surfels_[k] < own_.least_surfels || (!in_use(k) && 2 * (members_ + 1) >= compared_)) return;
+    // What a wrong factor adds to the scatter must not hide it.
+    const double price = std::log(std::max(2.0, independent_)), sharper = dispersion_ * dispersion_;
+    const bool ambient = solution_.sky_terms > 0 && !uses(kKinds * k + kAmbient), exposure = with_flash_[k] && !uses(kKinds * k + kExposure);   // without flash nothing tells one from the other
+    if (ambient) all.push_back({k, true, false, price - sharper * gain(k, {kAmbient})});
+    if (exposure) all.push_back({k, false, true, price - sharper * gain(k, {kExposure})});
+    if (ambient && exposure) all.push_back({k, true, true, 2 * price - sharper * gain(k, {kAmbient, kExposure})});
+  }
+
+  /// chi2: what it lowers twice the misfit by.
+  void use(const Candidate& c, double chi2) {
+    if (!in_use(c.photograph)) {
+      added_.push_back({c.photograph, chi2});
+      ++members_;
+    }
+    if (c.ambient) used_.push_back(kKinds * c.photograph + kAmbient);
+    if (c.exposure) used_.push_back(kKinds * c.photograph + kExposure);
+  }
+
+  /// Where a way that was tried ended.
+  struct Outcome {
+    Lights lights;
+    double outside_misfit, scale;
+    std::vector<OwnLight> own;
+  };
+  Outcome outcome() const { return {solution_.lights, solution_.outside_misfit, scale_, now_}; }
+
+  /// Twice the misfit of samples, references and priors there; weights are those of where it was tried from, and the scale is one for all ways.
+  double misfit(const Outcome& there, double scale) const {
+    const double dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy)), share = independent_ / residuals_ / (dispersion * dispersion);
+    double sum = 0, factors = 0;
+    Deviations d, weigh;
+    std::vector<LightSample> changed;
+    for (const SampleGroup& g : groups_) {
+      const auto samples = std::span(samples_).subspan(g.begin, g.end - g.begin);
+      changed.assign(samples.begin(), samples.end());
+      for (LightSample& s : changed) change_own_light(s, there.own[s.photograph].ambient / now_[s.photograph].ambient, there.own[s.photograph].exposure / now_[s.photograph].exposure);
+      for (int c = 0; c < 3; ++c) {
+        if (!deviations(solution_.lights, solution_.lights, samples, c, layout_, scale, false, weigh) || !deviations(there.lights, there.lights, changed, c, layout_, scale, false, d) || d.r.size() != weigh.r.size()) continue;
+        for (std::size_t k = 0; k < d.r.size(); ++k) sum += scale * scale * std::log1p(weigh.w[k] * (d.r[k] - d.mean_r) * (d.r[k] - d.mean_r) / (scale * scale));
+      }
+    }
+    for (const OwnLight& own : there.own) factors += std::pow(std::log(own.ambient) / own_.ambient_ln_sd, 2) + std::pow(std::log(own.exposure) / own_.exposure_ln_sd, 2);
+    return share * sum + 2 * there.outside_misfit + factors;
+  }
+
+  /// Frees factors of the photograph that asks most: of the likeliest candidates the one that explains most once all is settled. Returns whether there was one.
+  bool add() {
+    std::vector<Candidate> candidates;
+    for (std::size_t k = 0; k < now_.size(); ++k) consider(k, candidates);
+    std::erase_if(candidates, [&](const Candidate& c) { return !(c.criterion < -own_.evidence); });
+    if (candidates.empty()) return false;
+    std::stable_sort(candidates.begin(), candidates.end(), [](const Candidate& a, const Candidate& b) { return a.criterion < b.criterion; });
+    std::vector<Outcome> tried;
+    double scale = scale_;
+    for (std::size_t t = 0; t < std::min(kTrials, candidates.size()); ++t) {
+      Search trial = *this;
+      trial.use(candidates[t], 0);
+      trial.settle();
+      tried.push_back(trial.outcome());
+      scale = std::min(scale, trial.scale_);
+    }
+    const double price = std::log(std::max(2.0, independent_)), reference = misfit(outcome(), scale);
+    std::size_t best = 0;
+    double least = 0;
+    for (std::size_t t = 0; t < tried.size(); ++t) {
+      const double criterion = misfit(tried[t], scale) - reference + price * static_cast<double>(candidates[t].ambient + candidates[t].exposure);
+      if (t > 0 && !(criterion < least)) continue;
+      least = criterion;
+      best = t;
+    }
+    const Candidate c = candidates[best];
+    if (!(least < -own_.evidence)) return false;
+    use(c, price * static_cast<double>(c.ambient + c.exposure) - least);
+    // With many photographs several at once: what was too much is dropped again.
+    std::size_t places = compared_ / kAtOnce;
+    for (const Candidate& more : candidates) {
+      if (places <= 1 || !(more.criterion < 0.5 * candidates[0].criterion)) break;
+      if (in_use(more.photograph) || 2 * (members_ + 1) >= compared_) continue;
+      use(more, -more.criterion);
+      --places;
+    }
+    return true;
+  }
+
+  void uncertainty(OwnLights& found) const {
+    const auto p = static_cast<Eigen::Index>(layout_.size()), free = static_cast<Eigen::Index>(used_.size());
+    const Eigen::LDLT<Eigen::MatrixXd> lights(at_.shared.topLeftCorner(p, p));
+    const Eigen::MatrixXd follow = lights.solve(at_.shared.topRightCorner(p, free));
+    const Eigen::MatrixXd covariance = (at_.shared.bottomRightCorner(free, free) - at_.shared.bottomLeftCorner(free, p) * follow).ldlt().solve(Eigen::MatrixXd::Identity(free, free));
+    for (std::size_t f = 0; f < used_.size(); ++f)
+      if (used_[f] % kKinds == kAmbient)
+        found.of[used_[f] / kKinds].ambient_ln_sd = std::sqrt(std::max(0.0, covariance(static_cast<Eigen::Index>(f), static_cast<Eigen::Index>(f))));
+    found.lights_covariance = follow.topRows(2) * covariance * follow.topRows(2).transpose();
+  }
+
+  std::vector<LightSample> samples_;
+  std::vector<ReferenceSample> references_;
+  const LightSolveOptions& options_;
+  const OwnLightOptions& own_;
+  const std::vector<SampleGroup> groups_;
+  const LightLayout layout_;
+  LightSolution solution_;
+  const std::vector<OwnLight> before_;
+  std::vector<OwnLight> now_;
+  std::vector<std::size_t> surfels_, used_;   ///< used_: rows of Information
+  struct Added {
+    std::size_t photograph;
+    double chi2;
+  };
+  std::vector<Added> added_;   ///< in this search
+  std::vector<bool> with_flash_;
+  std::size_t compared_ = 0, members_ = 0;
+  double independent_ = 0, residuals_ = 0, scale_ = 0, dispersion_ = 1;
+  Information at_;
+  std::vector<std::array<double, kKinds>> effect_;
+};
+
+}  // namespace
+
+void change_own_light(LightSample& s, double ambient, double exposure) {
+  const auto by = static_cast<float>(ambient), even = static_cast<float>(1 / exposure);
+  for (float& t : s.sky) t *= by;
+  for (float& t : s.hidden) t *= by;
+  for (float& b : s.radiosity) b *= even;
+  for (float& g : s.gathered) g *= even;
+}
+
+OwnLights find_own_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const LightSolution& solution,
+                          std::span<const OwnLight> known, const OwnLightOptions& own_options) {
+  return Search(samples, references, options, solution, known, own_options).run();
+}
+
+}  // namespace chiaro::optimize

@@ -1,0 +1,173 @@
+#include "optimize/own_light.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "stream/base/parallel.h"
+#include "stream/base/rng.h"
+
+namespace chiaro::optimize {
+namespace {
+
+constexpr std::size_t kPhotographs = 6;
+
+Lights truth() {
+  Lights x;
+  x.flash_intensity = 10;
+  x.sky[0] = 0.3;
+  return x;
+}
+
+OwnLight own(double ambient, double exposure = 1) { return {ambient, exposure, 0}; }
+
+/// Surfels in nooks and in the open that three of the photographs see each, from different distances, with 2 % of noise.
+std::vector<LightSample> samples_of(const std::vector<OwnLight>& own, std::size_t surfels = 900) {
+  std::vector<LightSample> samples;
+  for (std::size_t i = 0; i < surfels; ++i) {
+    const float open = uniform01x4(4, Purpose::kTest, i, 9)[0];
+    for (std::size_t n = 0; n < std::min<std::size_t>(3, own.size()); ++n) {
+      const auto u = uniform01x4(4, Purpose::kTest, i, static_cast<std::uint32_t>(n));
+      LightSample s;
+      s.group = static_cast<std::uint32_t>(i);
+      s.photograph = static_cast<std::uint32_t>((i + n * (1 + i % 2)) % own.size());
+      s.flash = (0.1f + u[0]) / static_cast<float>(1 + s.photograph % 3);
+      s.sky[0] = 3 * (0.3f + 0.7f * open);
+      for (std::size_t c = 0; c < 3; ++c) s.gathered[c] = 0.5f * u[1];
+      LightSample taken = s;
+      change_own_light(taken, own[s.photograph].ambient, 1);
+      for (std::size_t c = 0; c < 3; ++c) {
+        const double albedo = 0.2 + 0.1 * static_cast<double>((i + c) % 6), noise = std::exp(0.02 * normal01(6, Purpose::kTest, 10 * i + n, static_cast<std::uint32_t>(c)));
+        s.radiosity[c] = static_cast<float>(own[s.photograph].exposure * albedo * noise * irradiance(truth(), taken, static_cast<int>(c)));
+        s.gathered[c] *= static_cast<float>(own[s.photograph].exposure);
+      }
+      samples.push_back(s);
+    }
+  }
+  return samples;
+}
+
+std::vector<OwnLight> found_in(const std::vector<LightSample>& samples, const std::vector<OwnLight>& known, std::span<const ReferenceSample> references = {}) {
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(10.5);
+  options.flash_ln_sd = 0.05;
+  options.bounce_sd = 0.02;
+  return find_own_lights(samples, references, options, solve_lights(samples, references, options, truth()), known).of;
+}
+
+const std::vector<OwnLight> kAlike(kPhotographs);
+
+std::vector<OwnLight> all_but(std::size_t k, const OwnLight& own) {
+  std::vector<OwnLight> all(kPhotographs);
+  all[k] = own;
+  return all;
+}
+
+void expect_near(const std::vector<OwnLight>& found, const std::vector<OwnLight>& expected, double relative) {
+  for (std::size_t k = 0; k < expected.size(); ++k) {
+    EXPECT_NEAR(found[k].ambient, expected[k].ambient, expected[k].ambient == 1 ? 0 : relative * expected[k].ambient) << k;
+    EXPECT_NEAR(found[k].exposure, expected[k].exposure, expected[k].exposure == 1 ? 0 : relative * expected[k].exposure) << k;
+  }
+}
+
+TEST(OwnLight, AnotherAmbientLightIsFound) {
+  for (const double ambient : {1.5, 0.6, 3.0}) {
+    const auto expected = all_but(2, own(ambient)), found = found_in(samples_of(expected), kAlike);
+    expect_near(found, expected, 0.03);
+    EXPECT_LE(std::fabs(std::log(found[2].ambient / ambient)), 3 * found[2].ambient_ln_sd);
+    EXPECT_LE(found[2].ambient_ln_sd, 0.1);
+  }
+}
+
+TEST(OwnLight, AnotherExposureIsFoundAndNotTakenForAmbientLight) {
+  for (const double exposure : {1.3, 0.6, 3.0}) expect_near(found_in(samples_of(all_but(2, own(1, exposure))), kAlike), all_but(2, own(1, exposure)), 0.01);
+}
+
+TEST(OwnLight, AmbientLightAndExposureAreToldApartInOnePhotograph) {
+  for (const auto& both : {own(1.6, 1.25), own(1.6, 0.75), own(0.5, 1.3)}) expect_near(found_in(samples_of(all_but(4, both)), kAlike), all_but(4, both), 0.05);
+}
+
+TEST(OwnLight, TwoOfSixAreFound) {
+  std::vector<OwnLight> expected = kAlike;
+  expected[0] = own(1.8);
+  expected[4] = own(1, 0.8);
+  expect_near(found_in(samples_of(expected), kAlike), expected, 0.03);
+}
+
+TEST(OwnLight, OneOfThreeIsFound) {
+  std::vector<OwnLight> expected(3);
+  expected[1] = own(1.5);
+  expect_near(found_in(samples_of(expected), std::vector<OwnLight>(3)), expected, 0.03);
+}
+
+TEST(OwnLight, PhotographsThatAreAlikeGetNothing) {
+  expect_near(found_in(samples_of(kAlike), kAlike), kAlike, 0);
+  const std::vector<OwnLight> nearly{own(1.01, 1.01), own(0.98, 0.985), own(1.03, 1.02), own(1, 0.99), own(1), own(0.99, 1.015)};
+  expect_near(found_in(samples_of(nearly), kAlike), kAlike, 0);
+}
+
+TEST(OwnLight, PhotographsThatAllDifferGetNothing) {   // nobody is unlike the others; the lights' model may be
+  expect_near(found_in(samples_of({own(1, 0.8), own(1, 0.87), own(1, 0.95), own(1, 1.05), own(1, 1.15), own(1, 1.25)}), kAlike), kAlike, 0);
+}
+
+TEST(OwnLight, WhatRemainsOfAFactorIsCorrectedByHoweverLittle) {
+  std::vector<LightSample> samples = samples_of(all_but(3, own(1.53, 1.22)));
+  for (LightSample& s : samples)
+    if (s.photograph == 3) change_own_light(s, 1.5, 1.2);
+  expect_near(found_in(samples, all_but(3, own(1.5, 1.2))), all_but(3, own(1.53, 1.22)), 0.02);
+}
+
+TEST(OwnLight, TwoPhotographsOrAFewSurfelsAreNotJudged) {
+  const std::vector<OwnLight> two{own(1), own(2)};
+  expect_near(found_in(samples_of(two), std::vector<OwnLight>(2)), std::vector<OwnLight>(2), 0);
+  expect_near(found_in(samples_of(all_but(2, own(2)), 30), kAlike), kAlike, 0);
+}
+
+TEST(OwnLight, OfAPhotographWithoutFlashTheAmbientLightIsTheExposure) {
+  std::vector<LightSample> samples = samples_of(all_but(5, own(1.5)));
+  for (LightSample& s : samples) {
+    if (s.photograph != 5) continue;
+    s.flash_photograph = false;
+    for (std::size_t c = 0; c < 3; ++c) {
+      LightSample taken = s;
+      change_own_light(taken, 1.5, 1);
+      const double with = irradiance(truth(), taken, static_cast<int>(c));
+      taken.flash = 0;
+      s.radiosity[c] *= static_cast<float>(irradiance(truth(), taken, static_cast<int>(c)) / with);
+    }
+    s.flash = 0;
+  }
+  expect_near(found_in(samples, kAlike), all_but(5, own(1.5)), 0.03);
+}
+
+TEST(OwnLight, ATargetIsSeenUnderTheLightOfItsPhotograph) {
+  const std::vector<OwnLight> expected = all_but(2, own(2));
+  std::vector<LightSample> samples = samples_of(expected);
+  ReferenceSample reference;
+  for (const LightSample& s : samples)
+    if (s.photograph == 2 && s.sky[0] > 2.5f) reference.sample = s;
+  LightSample taken = reference.sample;
+  change_own_light(taken, 2, 1);
+  for (std::size_t c = 0; c < 3; ++c) reference.albedo[c] = static_cast<double>(reference.sample.radiosity[c]) / irradiance(truth(), taken, static_cast<int>(c));
+  reference.sigma = 0.005;
+  expect_near(found_in(samples, kAlike, {&reference, 1}), expected, 0.03);
+}
+
+TEST(OwnLight, IsTheSameForAnyNumberOfThreads) {
+  const std::vector<LightSample> samples = samples_of(all_but(1, own(1.7)));
+  const auto with = [&](int threads) {
+    const ThreadLimit limit(threads);
+    return found_in(samples, kAlike)[1].ambient;
+  };
+  EXPECT_EQ(with(1), with(8));
+}
+
+TEST(OwnLight, FortyPhotographsOfWhichEightDiffer) {
+  std::vector<OwnLight> expected(40);
+  for (std::size_t k = 0; k < 8; ++k) expected[5 * k] = own(k % 2 ? 1.6 : 0.6);
+  const std::vector<OwnLight> found = found_in(samples_of(expected, 2000), std::vector<OwnLight>(40));
+  expect_near(found, expected, 0.08);
+}
+
+}  // namespace
+}  // namespace chiaro::optimize
