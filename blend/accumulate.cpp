@@ -6,20 +6,36 @@
 
 namespace chiaro::blend {
 
-void add_sample(Accumulator& sum, const Sample& sample, float high_band_power) {
+namespace {
+
+void add_middle(std::span<MiddleSum> middle, const Sample& sample, float high_band_power) {
+  const auto bands = static_cast<float>(middle.size());
+  for (std::size_t i = 0; i < middle.size(); ++i) {
+    const float power = 1 + (high_band_power - 1) * (bands - static_cast<float>(i)) / (bands + 1), weight = std::pow(sample.weight, power);
+    const Vec3f band = (i == 0 ? sample.low : sample.wider[i - 1]) - sample.wider[i];
+    middle[i][0] += weight;
+    for (std::size_t c = 0; c < 3; ++c) middle[i][c + 1] += weight * band[static_cast<Eigen::Index>(c)];
+  }
+}
+
+}  // namespace
+
+void add_sample(Accumulator& sum, const Sample& sample, float high_band_power, std::span<MiddleSum> middle) {
+  add_middle(middle, sample, high_band_power);
+  const Vec3f& lowest = middle.empty() ? sample.low : sample.wider[middle.size() - 1];
   const float low = sample.weight;
   const auto weight = static_cast<double>(sample.weight);
   const double high = high_band_power == 1.5f ? weight * std::sqrt(weight) : std::pow(weight, static_cast<double>(high_band_power)), high_deviation = high * static_cast<double>(sample.sigma);
   sum.low_weight += low;
   sum.high_weight += high;
   for (int c = 0; c < 3; ++c) {
-    sum.low[c] += low * sample.low[c];
+    sum.low[c] += low * lowest[c];
     sum.high[c] += high * static_cast<double>(sample.high[c]);
   }
   sum.low_variance += (low * sample.sigma) * (low * sample.sigma);
   sum.shared += low * sample.shared;
   sum.weight_square += low * low;
-  sum.low_square += low * sample.low.mean() * sample.low.mean();
+  sum.low_square += low * lowest.mean() * lowest.mean();
   sum.high_variance += high_deviation * high_deviation;
   ++sum.photographs;
 }
@@ -38,11 +54,14 @@ float deviation_by_scatter(const Accumulator& sum) {
 
 }  // namespace
 
-BlendedSurfel resolve(const Accumulator& sum, float shared_sigma) {
+BlendedSurfel resolve(const Accumulator& sum, float shared_sigma, std::span<const MiddleSum> middle) {
   constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
   BlendedSurfel result{Vec3f::Constant(kNaN), kNaN, kNaN, 0};
   if (sum.photographs == 0 || !(sum.low_weight > 0)) return result;
   for (int c = 0; c < 3; ++c) result.albedo[c] = sum.low[c] / sum.low_weight + static_cast<float>(sum.high_weight > 0 ? sum.high[c] / sum.high_weight : 0);
+  for (const MiddleSum& band : middle)
+    for (std::size_t c = 0; c < 3; ++c)
+      if (band[0] > 0) result.albedo[static_cast<Eigen::Index>(c)] += band[c + 1] / band[0];
   // Slow errors average with the low band's weights, pixel noise with the high band's; the larger one speaks.
   const float low = std::sqrt(sum.low_variance) / sum.low_weight;
   const auto high = static_cast<float>(sum.high_weight > 0 ? std::sqrt(sum.high_variance) / sum.high_weight : 0);

@@ -1,7 +1,9 @@
 /// Sums per surfel over the photographs.
 #pragma once
 #include <cstdint>
+#include <span>
 
+#include "blend/leaf_file.h"
 #include "blend/sample.h"
 
 namespace chiaro::blend {
@@ -19,8 +21,11 @@ struct Accumulator {
 };
 static_assert(sizeof(Accumulator) == 80);
 
-/// Adds one photograph's reading.
-void add_sample(Accumulator& sum, const Sample& sample, float high_band_power);
+/// Sum of a band between the low and the high one: of w^q, and of w^q * the band, three channels. q grows evenly from band to band, from 1 to the high one's p.
+using MiddleSum = FourFloats;
+
+/// Adds one photograph's reading. middle: the bands below the high one, finest first; none where there are two bands.
+void add_sample(Accumulator& sum, const Sample& sample, float high_band_power, std::span<MiddleSum> middle = {});
 
 struct BlendedSurfel {
   Vec3f albedo;            ///< NaN: unseen
@@ -30,6 +35,6 @@ struct BlendedSurfel {
 };
 /// sigma: the larger one of what the readings' own deviations say and what their scatter says; readings that contradict each other show in it.
 /// shared_sigma is a relative deviation that all photographs have in common; it joins the one that their pixels carry.
-BlendedSurfel resolve(const Accumulator& sum, float shared_sigma);
+BlendedSurfel resolve(const Accumulator& sum, float shared_sigma, std::span<const MiddleSum> middle = {});
 
 }  // namespace chiaro::blend

@@ -107,6 +107,7 @@ SurfaceMean SurfacePyramid::mean(int x, int y, float footprint) const {
     for (int u = x0; u <= x1; u += 4) {
       const Four dx = FourAt(row[P::kX] + u) - centre.position.x(), dy = FourAt(row[P::kY] + u) - centre.position.y(), dz = FourAt(row[P::kZ] + u) - centre.position.z();
       const Four w = (1 - (dx * dx + dy * dy + dz * dz) * inverse_squared).max(0.0f) * FourAt(row[P::kArea] + u);   // 0 where there is nothing
+      if (!(w > 0).any()) continue;
       weights += w;
       red += w * FourAt(row[P::kRed] + u);
       green += w * FourAt(row[P::kGreen] + u);

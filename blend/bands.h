@@ -9,6 +9,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "stream/base/types.h"
@@ -61,12 +62,17 @@ class SurfacePyramid {
   SurfacePyramid(SurfacePlanes pixels, float radius);
   /// footprint: side of this pixel on the surface, across the view.
   SurfaceMean mean(int x, int y, float footprint) const;
+  /// Gives the pixels back.
+  SurfacePlanes release() && { return std::move(levels_[0]); }
 
  private:
   static SurfacePlanes halve(const SurfacePlanes& fine, float radius);
   std::vector<SurfacePlanes> levels_;
   float radius_ = 0;
 };
+
+/// Bands of a blend: 2, or up to two more between the low and the high one.
+inline constexpr int kMostBands = 4, kMostWider = kMostBands - 2;
 
 /// Rows that mean() reaches beyond a pixel at most, where no footprint is smaller than this one.
 int reach_rows(float radius, float smallest_footprint);

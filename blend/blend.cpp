@@ -35,7 +35,7 @@ class Blender {
       : store_(store), options_(options), scratch_(scratch), budget_(budget), report_(report), photographs_(in_order_of_names(photographs)),
         scale_(scale_of(photographs_, report)),
         window_(window_options(options, scale_)),
-        walk_(store, photographs_, window_, budget, report), was_read_(photographs_.size()) {
+        windows_(window_, budget), walk_(store, photographs_, windows_, budget, report), was_read_(photographs_.size()) {
     Hasher hash;
     hash.add(options_key(store, options));
     for (const BlendPhotograph* p : photographs_) {
@@ -55,9 +55,9 @@ class Blender {
     compare_photographs();
     find_changed_leaves();
     inspect_photographs();
-    sums_.emplace(scratch_ / kSumsFile, key_, shape(2 * num_photographs(), sizeof(Accumulator)));
+    sums_.emplace(scratch_ / kSumsFile, key_, shape_of_sums());
     take_over_sums();
-    walk_.into(*sums_, "blend", shift_margin(), sizeof(Accumulator) + sizeof(Ballot), [&](const PhotoWalk::Visit& v) { add_to_leaf(v); }, first_sum_);
+    walk_.into(*sums_, "blend", shift_margin(), sum_bytes() + sizeof(Ballot), [&](const PhotoWalk::Visit& v) { add_to_leaf(v); }, first_sum_);
     const BlendStats stats = write_layer();
     if (!options_.keep.empty()) keep();
     return stats;
@@ -68,8 +68,8 @@ class Blender {
  private:
   std::uint32_t num_photographs() const { return static_cast<std::uint32_t>(photographs_.size()); }
 
-  LeafShape shape(std::uint32_t counters, std::uint32_t record_bytes) const {
-    LeafShape s{{}, num_photographs(), counters, record_bytes};
+  LeafShape shape(std::uint32_t counters, std::uint32_t record_bytes, std::uint32_t more = 0) const {
+    LeafShape s{{}, num_photographs(), counters, record_bytes, more};
     for (const std::uint32_t leaf : store_.leaves()) s.surfels_of_leaf.push_back(store_.chunks()[leaf].count);
     return s;
   }
@@ -83,9 +83,14 @@ class Blender {
     }
   }
 
-  std::vector<Sample> samples_of(const PhotoWalk::Visit& v, std::uint32_t photograph, const Vec2f& shift_px) const {
-    return sample_chunk(store_.read_chunk(store_.leaves()[v.leaf]), photographs_[photograph]->camera, shift_px, *v.window, v.y0, v.y1);
+  SurfelReader reader_of(const PhotoWalk::View& view, std::uint32_t photograph, const Vec2f& shift_px) const {
+    return {photographs_[photograph]->camera, *view.window, shift_px, view.y0, view.y1};
   }
+
+  std::uint32_t middle_bands() const { return static_cast<std::uint32_t>(options_.bands - 2); }
+  LeafShape shape_of_votes() const { return shape(0, sizeof(Ballot)); }
+  LeafShape shape_of_sums() const { return shape(2 * num_photographs(), sizeof(Accumulator), middle_bands()); }
+  std::uint64_t sum_bytes() const { return sizeof(Accumulator) + middle_bands() * sizeof(MiddleSum); }
 
   /// One photograph has nobody to disagree with.
   bool has_votes() const { return num_photographs() >= 2 && (options_.reject || options_.gain != Gain::kNone) && scale_.brightness > 0; }
@@ -103,9 +108,14 @@ class Blender {
 
   /// A disk that is too small is met now and not hours later. Leaves that nobody sees take nothing.
   void require_space() {
-    const LeafShape ballots = shape(0, sizeof(Ballot)), sums = shape(2 * num_photographs(), sizeof(Accumulator));
-    for (std::size_t i = 0; i < in_view_.size(); ++i)
-      if (in_view_[i]) scratch_bytes_ += LeafFile::disk_bytes(sums, i) + (has_votes() ? LeafFile::disk_bytes(ballots, i) : 0);
+    const LeafShape ballots = shape_of_votes(), sums = shape_of_sums();
+    std::uint64_t ballot_bytes = 0, sums_bytes = 0;
+    for (std::size_t i = 0; i < in_view_.size(); ++i) {
+      if (!in_view_[i]) continue;
+      sums_bytes += LeafFile::disk_bytes(sums, i);
+      if (has_votes()) ballot_bytes += LeafFile::disk_bytes(ballots, i);
+    }
+    scratch_bytes_ = sums_bytes + ballot_bytes + std::max(LeafFile::spare_bytes(sums_bytes), LeafFile::spare_bytes(ballot_bytes));   // one after the other
     std::uint64_t layer_bytes = 0;
     for (const stream::ChunkEntry& c : store_.chunks()) layer_bytes += std::uint64_t{c.count} * kLayerBytes;
     const std::uint64_t there = allocated_bytes(scratch_ / kVotesFile) + allocated_bytes(scratch_ / kSumsFile), free = options_.free_bytes(scratch_) + there;
@@ -114,7 +124,7 @@ class Blender {
   }
 
   void open_kept() {
-    kept_ = KeptBlend::open(options_.keep, options_key(store_, options_), photograph_keys_, shape(0, 0).surfels_of_leaf);
+    kept_ = KeptBlend::open(options_.keep, options_key(store_, options_), photograph_keys_, shape(0, 0).surfels_of_leaf, middle_bands());
     if (kept_ && (kept_->state().footprint != scale_.footprint || kept_->state().brightness != scale_.brightness)) {
       report_.note("blend: the median footprint or brightness of the photographs is not what it was: everything is added up anew");
       kept_.reset();
@@ -131,21 +141,27 @@ class Blender {
           num_known_ += known;
         }
     votes_key_ = Hasher().add(key_).add_bytes(order_.data(), order_.size() * sizeof(std::uint32_t)).hex();
-    votes_.emplace(scratch_ / kVotesFile, votes_key_, shape(0, sizeof(Ballot)));
+    votes_.emplace(scratch_ / kVotesFile, votes_key_, shape_of_votes());
     std::vector<std::uint32_t> first;
     if (kept_) first = take_over_votes();
     std::vector<const BlendPhotograph*> ordered;
     for (const std::uint32_t k : order_) ordered.push_back(photographs_[k]);
-    PhotoWalk walk(store_, std::move(ordered), window_, budget_, report_);
-    walk.into(*votes_, "blend: compare photographs", kLeastMargin, sizeof(Ballot), [&](const PhotoWalk::Visit& v) {
-      const std::vector<Sample> samples = samples_of(v, order_[v.photograph], Vec2f::Zero());
-      if (samples.empty()) return;
-      auto record = votes_->read<Ballot>(v.leaf);
-      for (const Sample& s : samples) cast_vote(record.surfels[s.slot], static_cast<std::uint16_t>(order_[v.photograph]), s, scale_.brightness);
-      votes_->write(v.leaf, {v.photograph, static_cast<std::uint32_t>(v.y1)}, record);
-    }, first);
+    PhotoWalk walk(store_, std::move(ordered), windows_, budget_, report_);
+    walk.into(*votes_, "blend: compare photographs", kLeastMargin, sizeof(Ballot), [&](const PhotoWalk::Visit& v) { vote_in_leaf(v); }, first);
     for (std::size_t i = 0; i < order_.size(); ++i) was_read_[order_[i]] = was_read_[order_[i]] || walk.photographs_read()[i];
     votes_visited_ = walk.chunks_visited();
+  }
+
+  void vote_in_leaf(const PhotoWalk::Visit& v) {
+    std::vector<SurfelReader> readers;
+    for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, order_[view.photograph], Vec2f::Zero()));
+    auto record = votes_->read<Ballot>(v.leaf);
+    bool any = false;
+    for_readings(store_.read_chunk(store_.leaves()[v.leaf]), readers, [&](std::uint32_t slot, std::size_t i, const Sample& sample) {
+      cast_vote(record.surfels[slot], static_cast<std::uint16_t>(order_[v.views[i].photograph]), sample, scale_.brightness);
+      any = true;
+    });
+    if (any) votes_->write(v.leaf, v.reached(), record);
   }
 
   /// Returns from which photograph on each leaf is to be visited.
@@ -192,7 +208,7 @@ class Blender {
       for (std::size_t i = 0; i < moved.size(); ++i) moved[i] |= views_[k][i];
     }
     std::atomic<std::uint64_t> kept{0};
-    walk_.for_leaves(moved.size(), sizeof(Accumulator), [&](std::size_t i) {
+    walk_.for_leaves(moved.size(), sum_bytes(), [&](std::size_t i) {
       if (moved[i] || votes_->mark(i) > Mark{num_known_, 0}) return;   // a new photograph has readings there, be they among the votes or not
       const KeptBlend::Sums known = kept_->sums(i);
       if (known.holds_removed) return;
@@ -250,64 +266,93 @@ class Blender {
       for (std::uint32_t k = 0; k < num_photographs(); ++k) alignments_[k] = options_.known->alignment[callers_index_[k]];
     if (!votes_ || options_.known || num_photographs() < 3) return;
     report_.begin("blend: inspect photographs", num_photographs(), "photographs");
+    std::vector<std::uint32_t> unknown;
     for (std::uint32_t k = 0; k < num_photographs(); ++k) {
-      report_.progress(k);
       if (const PhotographState* known = known_inspection(k)) {
         inspections_[k] = known->inspection;
         alignments_[k] = known->alignment;
-        continue;
+      } else {
+        unknown.push_back(k);
       }
-      inspections_[k] = inspect(k, Vec2f::Zero());
-      if (!options_.align) continue;
-      // A photograph that is read in the wrong place is judged and correlated wrongly too: once more from where it seems to be.
-      constexpr int kMostRounds = 3;
-      alignments_[k] = alignment_for(inspections_[k]);
-      for (int round = 0; round < kMostRounds && alignments_[k].shift_px != Vec2f::Zero(); ++round) {
-        const Vec2f before = alignments_[k].shift_px;
-        const Inspection again = inspect(k, before);
-        if (!again.shift_px) break;
-        inspections_[k] = again;
-        alignments_[k] = alignment_for(again);
-        if ((alignments_[k].shift_px - before).norm() < 0.05f) break;
-      }
+    }
+    const std::vector<Inspection> found = inspect(unknown, Vec2f::Zero());
+    for (std::size_t i = 0; i < unknown.size(); ++i) {
+      inspections_[unknown[i]] = found[i];
+      if (options_.align) align(unknown[i]);
     }
     report_.end();
   }
 
-  /// shift_px: where the photograph is read; the result's shift is the whole one.
-  Inspection inspect(std::uint32_t k, const Vec2f& shift_px) {
-    const stream::Lens& lens = photographs_[k]->camera.lens;
-    InspectionCounts counts(lens.width_px, lens.height_px);
-    std::mutex mutex;
-    const int margin = kInspectMargin + static_cast<int>(std::ceil(std::abs(shift_px.y())));
-    walk_.look(k, margin, sizeof(Ballot), [&](const PhotoWalk::Visit& v) {
-      InspectionCounts own(lens.width_px, lens.height_px);
-      inspect_leaf(v, shift_px, own);
-      const std::lock_guard lock(mutex);   // whole numbers: the order does not matter
-      counts.merge(own);
-    });
-    Inspection result = conclude(counts);
-    if (result.shift_px) *result.shift_px += shift_px;
-    return result;
+  /// A photograph that is read in the wrong place is judged and correlated wrongly too: once more from where it seems to be.
+  void align(std::uint32_t k) {
+    constexpr int kMostRounds = 3;
+    alignments_[k] = alignment_for(inspections_[k]);
+    for (int round = 0; round < kMostRounds && alignments_[k].shift_px != Vec2f::Zero(); ++round) {
+      const Vec2f before = alignments_[k].shift_px;
+      const Inspection again = inspect(std::span(&k, 1), before).front();
+      if (!again.shift_px) break;
+      inspections_[k] = again;
+      alignments_[k] = alignment_for(again);
+      if ((alignments_[k].shift_px - before).norm() < 0.05f) break;
+    }
   }
 
-  void inspect_leaf(const PhotoWalk::Visit& v, const Vec2f& shift_px, InspectionCounts& counts) const {
+  /// shift_px: where the photographs are read; the shifts found are whole ones.
+  std::vector<Inspection> inspect(std::span<const std::uint32_t> photographs, const Vec2f& shift_px) {
+    std::vector<InspectionCounts> counts;
+    std::vector<std::size_t> place(num_photographs());
+    for (const std::uint32_t k : photographs) {
+      place[k] = counts.size();
+      counts.emplace_back(photographs_[k]->camera.lens.width_px, photographs_[k]->camera.lens.height_px);
+    }
+    std::mutex mutex;
+    const int margin = kInspectMargin + static_cast<int>(std::ceil(std::abs(shift_px.y())));
+    walk_.look(photographs, margin, sizeof(Ballot), [&](const PhotoWalk::Visit& v) {
+      if (!votes_->is_written(v.leaf)) return;
+      std::vector<InspectionCounts> own;
+      for (const PhotoWalk::View& view : v.views) own.emplace_back(counts[place[view.photograph]].width, counts[place[view.photograph]].height);
+      inspect_leaf(v, shift_px, own);
+      const std::lock_guard lock(mutex);   // whole numbers: the order does not matter
+      for (std::size_t i = 0; i < own.size(); ++i) counts[place[v.views[i].photograph]].merge(own[i]);
+    }, [&](std::size_t taken) { if (photographs.size() > 1) report_.progress(photographs[taken - 1] + 1); });
+    std::vector<Inspection> results;
+    for (const InspectionCounts& c : counts) {
+      results.push_back(conclude(c));
+      if (results.back().shift_px) *results.back().shift_px += shift_px;
+    }
+    return results;
+  }
+
+  /// Of surfels enough of them. A majority does not depend on who is inspected: it is found once for all.
+  void inspect_leaf(const PhotoWalk::Visit& v, const Vec2f& shift_px, std::vector<InspectionCounts>& counts) const {
     constexpr std::uint64_t kMostSurfels = 1 << 17;
-    if (!votes_->is_written(v.leaf)) return;
-    const std::uint32_t step = 1 + static_cast<std::uint32_t>(v.surfels_in_view / kMostSurfels);
+    std::vector<SurfelReader> readers;
+    std::vector<std::uint32_t> step;
+    for (const PhotoWalk::View& view : v.views) {
+      readers.push_back(reader_of(view, view.photograph, shift_px));
+      step.push_back(1 + static_cast<std::uint32_t>(view.surfels_in_view / kMostSurfels));
+    }
     const stream::Chunk chunk = store_.read_chunk(store_.leaves()[v.leaf]);
     const auto ballots = votes_->read<Ballot>(v.leaf);
-    const stream::Camera& camera = photographs_[v.photograph]->camera;
-    const Vec3f gain = agreement_.log_gain[v.photograph].array().exp();
-    for (std::uint32_t slot = static_cast<std::uint32_t>(v.leaf) % step; slot < chunk.count; slot += step) {
-      const auto majority = majority_of(ballots.surfels[slot], agreement_.log_gain, tolerance_);
-      if (!majority) continue;
-      const stream::Surfel surfel = chunk.surfel(slot);
-      const auto pixel = project_surfel(camera, surfel);
-      if (!pixel || pixel->y() < v.y0 || pixel->y() >= v.y1) continue;
-      if (const auto sample = read_surfel(camera, surfel, *pixel, shift_px, *v.window))
-        inspect_reading(ballots.surfels[slot], *majority, static_cast<std::uint16_t>(v.photograph), log_value(sample->low.cwiseProduct(gain), scale_.brightness), tolerance_,
-                        *pixel + shift_px.cast<double>(), *v.window, counts);
+    for (std::uint32_t slot = 0; slot < chunk.count; ++slot) {
+      std::optional<stream::Surfel> surfel;
+      std::optional<Majority> majority;
+      for (std::size_t i = 0; i < readers.size(); ++i) {
+        if (slot % step[i] != static_cast<std::uint32_t>(v.leaf) % step[i]) continue;
+        if (!surfel) {
+          majority = majority_of(ballots.surfels[slot], agreement_.log_gain, tolerance_);
+          if (!majority) break;
+          surfel = chunk.surfel(slot);
+        }
+        const auto pixel = readers[i].project(*surfel);
+        if (!pixel) continue;
+        const auto sample = readers[i].read(*surfel, *pixel);
+        if (!sample) continue;
+        const std::uint32_t k = v.views[i].photograph;
+        const Vec3f gain = agreement_.log_gain[k].array().exp();
+        inspect_reading(ballots.surfels[slot], *majority, static_cast<std::uint16_t>(k), log_value(sample->low.cwiseProduct(gain), scale_.brightness), tolerance_,
+                        *pixel + shift_px.cast<double>(), *v.views[i].window, counts[i]);
+      }
     }
   }
 
@@ -319,29 +364,36 @@ class Blender {
   }
 
   void add_to_leaf(const PhotoWalk::Visit& v) {
-    std::vector<Sample> samples = samples_of(v, v.photograph, alignments_[v.photograph].shift_px);
-    if (samples.empty()) return;
+    std::vector<SurfelReader> readers;
+    for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, view.photograph, alignments_[view.photograph].shift_px));
     auto record = sums_->read<Accumulator>(v.leaf);
-    const auto ballots = votes_ ? votes_->read<Ballot>(v.leaf) : LeafRecord<Ballot>{};
-    const Vec3f log_gain = agreement_.log_gain[v.photograph], gain = log_gain.array().exp();
-    for (Sample& s : samples) {
+    const auto ballots = votes_ && options_.reject ? votes_->read<Ballot>(v.leaf) : LeafRecord<Ballot>{};
+    std::uint32_t judged = 0xffffffffu;   // the surfel that `majority` is of
+    std::optional<Majority> majority;
+    bool any = false;
+    for_readings(store_.read_chunk(store_.leaves()[v.leaf]), readers, [&](std::uint32_t slot, std::size_t i, Sample s) {
+      const std::uint32_t k = v.views[i].photograph;
+      const Vec3f gain = agreement_.log_gain[k].array().exp();
       s.low = s.low.cwiseProduct(gain);
       s.high = s.high.cwiseProduct(gain);
-      float share = 1, trust = alignments_[v.photograph].trust;
-      if (votes_ && options_.reject)
-        if (const auto majority = majority_of(ballots.surfels[s.slot], agreement_.log_gain, tolerance_))
-          share = agreement_weight(*majority, log_value(s.low, scale_.brightness), tolerance_);
-      Accumulator& sum = record.surfels[s.slot];
+      for (Vec3f& mean : s.wider) mean = mean.cwiseProduct(gain);
+      if (!ballots.surfels.empty() && judged != slot) {
+        majority = majority_of(ballots.surfels[slot], agreement_.log_gain, tolerance_);
+        judged = slot;
+      }
+      const float share = majority ? agreement_weight(*majority, log_value(s.low, scale_.brightness), tolerance_) : 1;
+      Accumulator& sum = record.surfels[slot];
+      any = true;
       if (share < 0.5f) {
         ++sum.rejected;
-        ++record.counters[num_photographs() + v.photograph];
+        ++record.counters[num_photographs() + k];
       }
-      if (!(share > 0)) continue;
-      s.weight *= share * trust;
-      add_sample(sum, s, static_cast<float>(options_.high_band_power));
-      ++record.counters[v.photograph];
-    }
-    sums_->write(v.leaf, {v.photograph, static_cast<std::uint32_t>(v.y1)}, record);
+      if (!(share > 0)) return;
+      s.weight *= share * alignments_[k].trust;
+      add_sample(sum, s, static_cast<float>(options_.high_band_power), std::span(record.more).subspan(std::size_t{slot} * middle_bands(), middle_bands()));
+      ++record.counters[k];
+    });
+    if (any) sums_->write(v.leaf, v.reached(), record);
   }
 
   BlendStats write_layer() {
@@ -353,16 +405,20 @@ class Blender {
     const bool denoises = options_.denoise && scale_.brightness > 0;
     report_.begin(denoises ? "blend: denoise and write" : "blend: write", leaves.size(), "chunks");
     std::atomic<std::uint64_t> done{0};
-    walk_.for_leaves(leaves.size(), denoises ? LeafDenoiser::bytes_per_surfel() : sizeof(Accumulator), [&](std::size_t i) {
+    walk_.for_leaves(leaves.size(), (denoises ? LeafDenoiser::bytes_per_surfel() : sizeof(Accumulator)) + 2 * (sum_bytes() - sizeof(Accumulator)), [&](std::size_t i) {
       const auto record = sums_->read<Accumulator>(i);
       std::vector<BlendedSurfel> values = resolved(record);
+      const std::vector<BlendedSurfel> before = denoises ? values : std::vector<BlendedSurfel>();
       if (denoises) denoiser.denoise(i, values);
       leaves[i] = write_leaf(writer, store_.leaves()[i], record, values);
+      leaves[i].denoising = compared(before, values);
       report_.progress(++done);
     });
     report_.end();
     stats.photographs.resize(photographs_.size());
+    if (denoises) stats.denoising.emplace();
     for (std::size_t leaf = 0; leaf < leaves.size(); ++leaf) {
+      if (denoises) stats.denoising->add(leaves[leaf].denoising);
       stats.points += leaves[leaf].points;
       stats.points_seen += leaves[leaf].points_seen;
       stats.points_disputed += leaves[leaf].points_disputed;
@@ -399,6 +455,7 @@ class Blender {
   std::vector<std::size_t> callers_index_;
   Scale scale_;
   WindowOptions window_;
+  WindowCache windows_;
   PhotoWalk walk_;
   std::string key_, votes_key_;
   std::vector<std::string> photograph_keys_;
@@ -420,6 +477,8 @@ class Blender {
 
 void BlendOptions::validate() const {
   if (layer.empty()) throw std::invalid_argument("BlendOptions: layer has no name");
+  if (bands < 2 || bands > kMostBands) throw std::invalid_argument("BlendOptions: bands must be 2, 3 or 4");
+  if (!(low_band_px * (1 << (bands - 2)) <= static_cast<double>(kMaxLowRadiusPx))) throw std::invalid_argument("BlendOptions: low_band_px is too large for so many bands");
   if (!(low_band_px >= 1 && low_band_px <= kMaxLowRadiusPx)) throw std::invalid_argument("BlendOptions: low_band_px must be in 1 .. 64");
   if (!(border_px >= 1 && border_px <= 64)) throw std::invalid_argument("BlendOptions: border_px must be in 1 .. 64");
   if (!(high_band_power >= 1 && high_band_power <= 8)) throw std::invalid_argument("BlendOptions: high_band_power must be in 1 .. 8");

@@ -40,7 +40,8 @@ struct Findings {
 struct BlendOptions {
   std::string layer = "albedo";
   std::string provenance_json = "{}";
-  double low_band_px = 8;          ///< radius of the filter that splits the low from the high band, in pixels of the finest photograph there
+  int bands = 2;                   ///< 2 .. 4; each one more splits the lowest once more, at twice the radius
+  double low_band_px = 8;          ///< radius of the filter that splits the highest band from the next, in typical pixels
   double border_px = 12;           ///< weights rise from 0 at image borders, mask borders and silhouettes over this many pixels
   double high_band_power = 1.5;      ///< weights of the high band are raised to this power: better photographs count more
   double shared_sigma = 0;         ///< relative sd that all photographs share (lights): added to the result, does not average out
@@ -62,12 +63,20 @@ struct PhotographStats {
   Alignment alignment;
 };
 
+/// What denoising has done: sums over the points that have a sigma.
+struct Denoising {
+  std::uint64_t points = 0, points_changed = 0;
+  double sigma_before = 0, sigma_after = 0;
+  void add(const Denoising& other);
+};
+
 struct BlendStats {
   std::uint64_t points = 0, points_seen = 0, points_disputed = 0, samples = 0, chunks_visited = 0;   ///< disputed: a reading was outvoted there
   double scatter = 0;              ///< median distance of two readings of a point, relative, largest channel
   std::uint64_t leaves = 0, leaves_kept = 0;  ///< with readings; of these, taken over from the kept blend as they were
   std::uint64_t photographs_read = 0;         ///< whose pixels were needed
   std::uint64_t scratch_bytes = 0;            ///< most that the state takes on the disk
+  std::optional<Denoising> denoising;         ///< none: it was not asked for
   WindowOptions window;                       ///< what weights and bands were measured against
   std::vector<PhotographStats> photographs;   ///< in the caller's order
 };

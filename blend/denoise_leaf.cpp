@@ -59,7 +59,7 @@ LeafDenoiser::LeafDenoiser(const stream::Store& store, float brightness, std::fu
 
 std::uint64_t LeafDenoiser::bytes_per_surfel() {
   constexpr std::uint64_t kNoisy = 3 * sizeof(Vec3f) + sizeof(float) + 1, kMost = 2 + kMostAround / kLargestLeaf;   // vectors grow by doubling
-  return kMost * (kNoisy + NearestPoints::bytes_per_point()) + sizeof(Denoised) + 2 * (sizeof(BlendedSurfel) + sizeof(Accumulator));
+  return kMost * (kNoisy + NearestPoints::bytes_per_point()) + sizeof(Denoised) + 3 * sizeof(BlendedSurfel) + 2 * sizeof(Accumulator);
 }
 
 std::vector<std::uint32_t> LeafDenoiser::leaves_near(std::uint32_t chunk, const Box3d& box) const {

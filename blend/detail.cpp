@@ -19,7 +19,7 @@ LeafFile collect_detail(const stream::Store& store, std::span<const BlendPhotogr
                         MemoryBudget& budget, Reporter& report) {
   const std::vector<const BlendPhotograph*> ordered = in_order_of_names(photographs);
   std::vector<Alignment> alignment;
-  LeafShape shape{{}, static_cast<std::uint32_t>(ordered.size()), 0, sizeof(Detail)};
+  LeafShape shape{{}, static_cast<std::uint32_t>(ordered.size()), 0, sizeof(Detail), 0};
   for (const std::uint32_t leaf : store.leaves()) shape.surfels_of_leaf.push_back(store.chunks()[leaf].count);
   Hasher key;
   key.add("blend detail 1").add(options_key(store, options));
@@ -32,15 +32,20 @@ LeafFile collect_detail(const stream::Store& store, std::span<const BlendPhotogr
     for (const float v : {a.shift_px.x(), a.shift_px.y(), a.trust}) key.add(static_cast<double>(v));
   }
   LeafFile file(path, key.hex(), std::move(shape));
-  PhotoWalk walk(store, ordered, window_options(options, scale_of(ordered, report)), budget, report);
+  WindowCache windows(window_options(options, scale_of(ordered, report)), budget);
+  PhotoWalk walk(store, ordered, windows, budget, report);
   walk.into(file, "refine: look for detail", 1 + static_cast<int>(std::ceil(farthest)), sizeof(Detail), [&](const PhotoWalk::Visit& v) {
-    const Alignment& a = alignment[v.photograph];
-    const std::vector<Sample> samples = sample_chunk(store.read_chunk(store.leaves()[v.leaf]), ordered[v.photograph]->camera, a.shift_px, *v.window, v.y0, v.y1);
-    if (samples.empty()) return;
+    std::vector<SurfelReader> readers;
+    for (const PhotoWalk::View& view : v.views) readers.emplace_back(ordered[view.photograph]->camera, *view.window, alignment[view.photograph].shift_px, view.y0, view.y1);
     auto record = file.read<Detail>(v.leaf);
-    for (const Sample& s : samples)
-      if (const Detail detail{s.weight * a.trust, s.footprint}; counts_more(detail, record.surfels[s.slot])) record.surfels[s.slot] = detail;
-    file.write(v.leaf, {v.photograph, static_cast<std::uint32_t>(v.y1)}, record);
+    bool changed = false;
+    for_readings(store.read_chunk(store.leaves()[v.leaf]), readers, [&](std::uint32_t slot, std::size_t i, const Sample& s) {
+      const Detail detail{s.weight * alignment[v.views[i].photograph].trust, s.footprint};
+      if (!counts_more(detail, record.surfels[slot])) return;
+      record.surfels[slot] = detail;
+      changed = true;
+    });
+    if (changed) file.write(v.leaf, v.reached(), record);
   });
   return file;
 }

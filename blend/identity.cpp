@@ -45,7 +45,7 @@ Scale scale_of(const std::vector<const BlendPhotograph*>& photographs, Reporter&
 }
 
 WindowOptions window_options(const BlendOptions& options, const Scale& scale) {
-  return {.low_radius = static_cast<float>(options.low_band_px) * scale.footprint, .reference_footprint = scale.footprint, .border_px = static_cast<float>(options.border_px)};
+  return {.low_radius = static_cast<float>(options.low_band_px) * scale.footprint, .reference_footprint = scale.footprint, .border_px = static_cast<float>(options.border_px), .wider = options.bands - 2};
 }
 
 std::string photograph_key(const BlendPhotograph& p) {
@@ -68,6 +68,7 @@ std::string options_key(const stream::Store& store, const BlendOptions& options)
   hash.add("blend accumulators 7").add(store.manifest().key).add(std::uint64_t{store.chunks().size()});
   hash.add(options.low_band_px).add(options.border_px).add(options.high_band_power);
   hash.add(std::uint64_t{options.reject}).add(static_cast<std::uint64_t>(options.gain)).add(std::uint64_t{options.align});
+  if (options.bands != 2) hash.add("bands").add(static_cast<std::uint64_t>(options.bands));
   return hash.hex();
 }
 

@@ -116,23 +116,28 @@ bool is_known(const Shift& shift) {
   return kDeviations * shift.sd_px <= shift.px.norm() && shift.width_px <= kSearchPx;
 }
 
-/// Cells that share a side, in which most readings are outvoted; the group with most of them.
-std::optional<Inspection::Region> largest_disturbed(const InspectionCounts& counts) {
+/// Cells that share a side, in which most readings are outvoted.
+struct Cluster {
+  Inspection::Region region;
+  std::size_t cells = 0;
+};
+
+std::vector<Cluster> outvoted_clusters(const InspectionCounts& counts) {
   constexpr std::uint32_t kLeastJudged = 8;
-  constexpr double kLeastOutvoted = 50, kLeastShare = 0.002;   // of all that is judged: a few points behind a corner are everywhere
   const auto is_bad = [&](std::size_t i) { return counts.judged[i] >= kLeastJudged && 2 * counts.outvoted[i] > counts.judged[i]; };
   std::vector<std::uint8_t> seen(counts.judged.size());
-  std::optional<Inspection::Region> largest;
-  const double least = std::max(kLeastOutvoted, kLeastShare * static_cast<double>(std::accumulate(counts.judged.begin(), counts.judged.end(), std::uint64_t{0})));
+  std::vector<Cluster> clusters;
   for (std::size_t start = 0; start < seen.size(); ++start) {
     if (seen[start] || !is_bad(start)) continue;
-    Inspection::Region region{counts.width, counts.height, 0, 0, 0, 0};
+    Cluster cluster{{counts.width, counts.height, 0, 0, 0, 0, 1}, 0};
+    Inspection::Region& region = cluster.region;
     std::vector<std::size_t> open{start};
     seen[start] = 1;
     while (!open.empty()) {
       const std::size_t i = open.back();
       open.pop_back();
       const int x = static_cast<int>(i) % counts.cells_x, y = static_cast<int>(i) / counts.cells_x;
+      ++cluster.cells;
       region.x0 = std::min(region.x0, x * counts.cell_px);
       region.y0 = std::min(region.y0, y * counts.cell_px);
       region.x1 = std::max(region.x1, std::min(counts.width, (x + 1) * counts.cell_px));
@@ -148,9 +153,38 @@ std::optional<Inspection::Region> largest_disturbed(const InspectionCounts& coun
         open.push_back(next);
       }
     }
-    if (static_cast<double>(region.outvoted) >= least && (!largest || region.outvoted > largest->outvoted)) largest = region;
+    clusters.push_back(cluster);
   }
-  return largest;
+  return clusters;
+}
+
+/// How likely one of a photograph's clusters grows so large without anything being there. Cells along edges of shadows and relief are outvoted in any photograph,
+/// a few beside each other: each goes on to one more with a probability that the other clusters tell (that of a geometric distribution, from what they have
+/// in cells and number; without any, one in four), and any of them might have been the largest.
+double chance_of(const Cluster& cluster, const std::vector<Cluster>& clusters) {
+  double others = 0, cells = 0;
+  for (const Cluster& c : clusters) {
+    others += 1;
+    cells += static_cast<double>(c.cells);
+  }
+  others -= 1;
+  cells -= static_cast<double>(cluster.cells);
+  const double goes_on = (cells - others + 0.5) / (cells + 2);
+  return std::min(1.0, (others + 1) * std::pow(goes_on, static_cast<double>(cluster.cells) - 1));
+}
+
+/// The cluster with most outvoted readings, if it is more than what chance makes.
+std::optional<Inspection::Region> largest_disturbed(const InspectionCounts& counts) {
+  constexpr double kLeastOutvoted = 50, kLeastShare = 0.002;   // of all that is judged: a few points behind a corner are everywhere
+  constexpr double kMostChance = 0.003;                        // three deviations
+  const std::vector<Cluster> clusters = outvoted_clusters(counts);
+  const auto largest = std::max_element(clusters.begin(), clusters.end(), [](const Cluster& a, const Cluster& b) { return a.region.outvoted < b.region.outvoted; });
+  const double least = std::max(kLeastOutvoted, kLeastShare * static_cast<double>(std::accumulate(counts.judged.begin(), counts.judged.end(), std::uint64_t{0})));
+  if (largest == clusters.end() || static_cast<double>(largest->region.outvoted) < least) return std::nullopt;
+  Inspection::Region region = largest->region;
+  region.chance = static_cast<float>(chance_of(*largest, clusters));
+  if (!(chance_of(*largest, clusters) < kMostChance)) return std::nullopt;
+  return region;
 }
 
 }  // namespace

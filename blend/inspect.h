@@ -47,6 +47,7 @@ struct Inspection {
   struct Region {
     int x0 = 0, y0 = 0, x1 = 0, y1 = 0;   ///< pixels, half-open
     std::uint64_t outvoted = 0, judged = 0;
+    float chance = 0;                     ///< that as much is outvoted side by side though nothing is there
   };
   std::optional<Region> disturbed; ///< the largest connected part in which most readings are outvoted
 };

@@ -12,7 +12,7 @@ namespace chiaro::blend {
 namespace {
 namespace fs = std::filesystem;
 
-constexpr char kMagic[8] = {'C', 'H', 'R', 'K', 'E', 'P', 'T', '1'};
+constexpr char kMagic[8] = {'C', 'H', 'R', 'K', 'E', 'P', 'T', '2'};
 constexpr const char *kStateFile = "state", *kVotesFile = "votes", *kSumsFile = "sums";
 constexpr std::size_t kKeyBytes = 32;
 
@@ -28,7 +28,8 @@ struct PhotographRecord {
   float found_shift[2], spread, correlation, shift[2], trust;
   std::int32_t region[4];
   std::uint32_t has_shift, has_region;
-  float sd;
+  float sd, chance;
+  std::uint32_t reserved;
   std::uint64_t readings, outvoted, judged;
 };
 static_assert(std::is_trivially_copyable_v<PhotographRecord>);
@@ -52,6 +53,7 @@ PhotographRecord record_of(const PhotographState& p) {
     r.region[0] = d->x0, r.region[1] = d->y0, r.region[2] = d->x1, r.region[3] = d->y1;
     r.outvoted = d->outvoted;
     r.judged = d->judged;
+    r.chance = d->chance;
   }
   r.shift[0] = p.alignment.shift_px.x(), r.shift[1] = p.alignment.shift_px.y();
   r.trust = p.alignment.trust;
@@ -67,7 +69,7 @@ PhotographState state_of(const PhotographRecord& r) {
   p.inspection.shift_sd_px = r.sd;
   p.inspection.correlation = r.correlation;
   p.inspection.shift_readings = r.readings;
-  if (r.has_region) p.inspection.disturbed = Inspection::Region{r.region[0], r.region[1], r.region[2], r.region[3], r.outvoted, r.judged};
+  if (r.has_region) p.inspection.disturbed = Inspection::Region{r.region[0], r.region[1], r.region[2], r.region[3], r.outvoted, r.judged, r.chance};
   p.alignment = {Vec2f(r.shift[0], r.shift[1]), r.trust};
   return p;
 }
@@ -110,14 +112,14 @@ std::optional<std::vector<std::uint32_t>> numbers_now(std::span<const Photograph
 }
 
 std::optional<KeptBlend> KeptBlend::open(const fs::path& folder, const std::string& options_key, std::span<const std::string> photograph_keys,
-                                         const std::vector<std::uint32_t>& surfels_of_leaf) {
+                                         const std::vector<std::uint32_t>& surfels_of_leaf, std::uint32_t middle_bands) {
   auto state = read_state(folder / kStateFile);
   if (!state || state->options_key != options_key) return std::nullopt;
   auto numbers = numbers_now(state->photographs, photograph_keys);
   if (!numbers) return std::nullopt;
   const auto n = static_cast<std::uint32_t>(state->photographs.size());
-  auto votes = LeafFile::existing(folder / kVotesFile, state->votes_key, {surfels_of_leaf, n, 0, sizeof(Ballot)});
-  auto sums = LeafFile::existing(folder / kSumsFile, state->sums_key, {surfels_of_leaf, n, 2 * n, sizeof(Accumulator)});
+  auto votes = LeafFile::existing(folder / kVotesFile, state->votes_key, {surfels_of_leaf, n, 0, sizeof(Ballot), 0});
+  auto sums = LeafFile::existing(folder / kSumsFile, state->sums_key, {surfels_of_leaf, n, 2 * n, sizeof(Accumulator), middle_bands});
   if (!votes || !sums || votes->photographs_done() != n || sums->photographs_done() != n) return std::nullopt;
   KeptBlend kept(std::move(*state), std::move(*votes), std::move(*sums));
   kept.now_of_then_ = std::move(*numbers);

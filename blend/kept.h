@@ -39,7 +39,7 @@ class KeptBlend {
   /// nullopt where there is none, or it is damaged, of other options, or of photographs in another order.
   /// surfels_of_leaf: of the store; photograph_keys: of the blend at hand, in its order.
   static std::optional<KeptBlend> open(const std::filesystem::path& folder, const std::string& options_key, std::span<const std::string> photograph_keys,
-                                       const std::vector<std::uint32_t>& surfels_of_leaf);
+                                       const std::vector<std::uint32_t>& surfels_of_leaf, std::uint32_t middle_bands);
   /// Takes over the files of a finished blend. throws Error.
   static void save(const std::filesystem::path& folder, const BlendState& state, const std::filesystem::path& votes, const std::filesystem::path& sums);
 

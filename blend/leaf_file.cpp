@@ -1,8 +1,11 @@
 #include "blend/leaf_file.h"
 
+#include <fcntl.h>
+
 #include <algorithm>
 #include <cassert>
 #include <cstring>
+#include <mutex>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
@@ -11,14 +14,14 @@
 namespace chiaro::blend {
 namespace {
 
-constexpr char kMagic[8] = {'C', 'H', 'R', 'B', 'L', 'N', 'D', '2'};
+constexpr char kMagic[8] = {'C', 'H', 'R', 'B', 'L', 'N', 'D', '3'};
 constexpr std::uint64_t kPage = 4096;
 
 struct FileHeader {
   char magic[8];
   char key[32];
   std::uint64_t num_leaves;
-  std::uint32_t num_photographs, counters, record_bytes, reserved;
+  std::uint32_t num_photographs, counters, record_bytes, more;
 };
 struct DoneRecord {   // in its own page, so that it is written at one stroke
   std::uint32_t photographs, crc;
@@ -42,6 +45,10 @@ struct LeafFile::Impl {
   std::vector<std::int8_t> current;      // slot that holds the state, -1 none
   std::uint32_t done = 0;
   FileHeader header{};
+  // Leaves that hold two states, the older of which may go once the newer one is synced. A leaf that is being written is not among them.
+  std::mutex mutex;
+  std::vector<std::uint8_t> is_doubled;
+  std::uint64_t spare = 0, most_spare = 0;   // bytes of second slots; those being written count too
 
   void lay_out(const std::string& key, LeafShape shape_) {
     shape = std::move(shape_);
@@ -54,15 +61,46 @@ struct LeafFile::Impl {
     header.num_photographs = shape.num_photographs;
     header.counters = shape.counters;
     header.record_bytes = shape.record_bytes;
+    header.more = shape.more;
+    is_doubled.resize(leaves);
     std::uint64_t at = 2 * kPage;
     for (std::size_t leaf = 0; leaf < leaves; ++leaf) {
       offsets.push_back(at);
       at += 2 * slot_bytes(leaf);
     }
+    most_spare = spare_bytes((at - 2 * kPage) / 2);
+  }
+
+  void begin_write(std::size_t leaf) {
+    const std::lock_guard lock(mutex);
+    if (current[leaf] < 0) return;
+    if (is_doubled[leaf]) is_doubled[leaf] = 0;   // its room is written again
+    else spare += slot_bytes(leaf);
+    if (spare > most_spare) {
+      file.sync();
+      release_doubled();
+    }
+  }
+  void end_write(std::size_t leaf, int slot, const Mark& mark) {
+    const std::lock_guard lock(mutex);
+    is_doubled[leaf] = current[leaf] >= 0;
+    current[leaf] = static_cast<std::int8_t>(slot);
+    marks[leaf] = mark;
+  }
+  /// After a sync, under the lock.
+  void release_doubled() {
+    for (std::size_t leaf = 0; leaf < is_doubled.size(); ++leaf) {
+      if (!is_doubled[leaf]) continue;
+      // A file system that cannot make holes keeps the older state: it only costs disk.
+      if (::fallocate(file.descriptor(), FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, static_cast<::off_t>(slot_offset(leaf, 1 - current[leaf])), static_cast<::off_t>(slot_bytes(leaf))) != 0) {
+      }
+      is_doubled[leaf] = 0;
+      spare -= slot_bytes(leaf);
+    }
   }
 
   std::uint64_t payload_bytes(std::size_t leaf) const {
-    return std::uint64_t{shape.counters} * sizeof(std::uint32_t) + std::uint64_t{shape.surfels_of_leaf[leaf]} * shape.record_bytes;
+    return std::uint64_t{shape.counters} * sizeof(std::uint32_t) + std::uint64_t{shape.surfels_of_leaf[leaf]} * (shape.record_bytes + shape.more * sizeof(FourFloats));
   }
   std::uint64_t slot_bytes(std::size_t leaf) const { return up_to_page(sizeof(SlotHeader) + payload_bytes(leaf)); }
   std::uint64_t slot_offset(std::size_t leaf, int slot) const { return offsets[leaf] + (slot > 0 ? slot_bytes(leaf) : 0); }
@@ -102,6 +140,9 @@ struct LeafFile::Impl {
       current[leaf] = static_cast<std::int8_t>(slot);
       marks[leaf] = mark;
     }
+    if (current[leaf] < 0) return;
+    is_doubled[leaf] = 1;   // for all that is known
+    spare += slot_bytes(leaf);
   }
   bool payload_fits(std::size_t leaf, int slot, const SlotHeader& h) const {
     std::vector<std::byte> payload(payload_bytes(leaf));
@@ -124,7 +165,14 @@ std::optional<LeafFile> LeafFile::existing(const std::filesystem::path& path, co
 }
 
 std::uint64_t LeafFile::disk_bytes(const LeafShape& shape, std::size_t leaf) {
-  return 2 * up_to_page(sizeof(SlotHeader) + std::uint64_t{shape.counters} * sizeof(std::uint32_t) + std::uint64_t{shape.surfels_of_leaf[leaf]} * shape.record_bytes);
+  return up_to_page(sizeof(SlotHeader) + std::uint64_t{shape.counters} * sizeof(std::uint32_t) +
+                    std::uint64_t{shape.surfels_of_leaf[leaf]} * (shape.record_bytes + shape.more * sizeof(FourFloats)));
+}
+
+/// Syncing costs more than room: as much as all of it where that is little.
+std::uint64_t LeafFile::spare_bytes(std::uint64_t leaves_bytes) {
+  constexpr std::uint64_t kLittle = std::uint64_t{64} << 20;
+  return std::min(leaves_bytes, std::max(kLittle, leaves_bytes / 8));
 }
 
 LeafFile::LeafFile(LeafFile&&) noexcept = default;
@@ -136,37 +184,46 @@ Mark LeafFile::mark(std::size_t leaf) const { return impl_->marks[leaf]; }
 bool LeafFile::is_written(std::size_t leaf) const { return impl_->current[leaf] >= 0; }
 std::uint32_t LeafFile::surfels(std::size_t leaf) const { return impl_->shape.surfels_of_leaf[leaf]; }
 std::uint32_t LeafFile::counters() const { return impl_->shape.counters; }
+std::uint32_t LeafFile::more() const { return impl_->shape.more; }
 
 void LeafFile::set_photographs_done(std::uint32_t count) {
+  const std::lock_guard lock(impl_->mutex);
   impl_->file.sync();
   impl_->write_done(count);
+  impl_->release_doubled();
 }
 
-void LeafFile::read_bytes(std::size_t leaf, std::span<std::uint32_t> counters, std::span<std::byte> surfels) const {
+void LeafFile::read_bytes(std::size_t leaf, std::span<std::uint32_t> counters, std::span<std::byte> surfels, std::span<std::byte> more) const {
   const Impl& m = *impl_;
   assert(surfels.size() == std::size_t{m.shape.surfels_of_leaf[leaf]} * m.shape.record_bytes);
   if (m.current[leaf] < 0) return;
   SlotHeader h{};
   const std::uint64_t at = m.slot_offset(leaf, m.current[leaf]);
   m.file.read_at(at, &h, sizeof h);
-  m.file.read_at(at + sizeof h, counters.data(), counters.size_bytes());
-  m.file.read_at(at + sizeof h + counters.size_bytes(), surfels.data(), surfels.size());
-  if (crc32c(surfels, crc32c(std::as_bytes(counters))) != h.payload_crc)
-    throw Error(concat(m.file.path().string(), ": checksum of leaf ", leaf, " at offset ", at, " does not fit; remove the file to start the blend anew"));
+  std::uint64_t from = at + sizeof h;
+  std::uint32_t crc = 0;
+  for (const std::span<std::byte> part : {std::as_writable_bytes(counters), surfels, more}) {
+    m.file.read_at(from, part.data(), part.size());
+    from += part.size();
+    crc = crc32c(part, crc);
+  }
+  if (crc != h.payload_crc) throw Error(concat(m.file.path().string(), ": checksum of leaf ", leaf, " at offset ", at, " does not fit; remove the file to start the blend anew"));
 }
 
-void LeafFile::write_bytes(std::size_t leaf, const Mark& mark, std::span<const std::uint32_t> counters, std::span<const std::byte> surfels) {
+void LeafFile::write_bytes(std::size_t leaf, const Mark& mark, std::span<const std::uint32_t> counters, std::span<const std::byte> surfels, std::span<const std::byte> more) {
   Impl& m = *impl_;
   const int slot = m.current[leaf] == 0 ? 1 : 0;
-  const std::uint64_t at = m.slot_offset(leaf, slot);
+  m.begin_write(leaf);
+  std::uint64_t to = m.slot_offset(leaf, slot) + sizeof(SlotHeader);
   SlotHeader h{mark.photograph, mark.row, static_cast<std::uint32_t>(leaf), m.shape.surfels_of_leaf[leaf], 0, 0};
-  h.payload_crc = crc32c(surfels, crc32c(std::as_bytes(counters)));
+  for (const std::span<const std::byte> part : {std::as_bytes(counters), surfels, more}) {
+    h.payload_crc = crc32c(part, h.payload_crc);
+    m.file.write_at(to, part.data(), part.size());
+    to += part.size();
+  }
   h.header_crc = crc_of(h);
-  m.file.write_at(at + sizeof h, counters.data(), counters.size_bytes());
-  m.file.write_at(at + sizeof h + counters.size_bytes(), surfels.data(), surfels.size());
-  m.file.write_at(at, &h, sizeof h);
-  m.current[leaf] = static_cast<std::int8_t>(slot);
-  m.marks[leaf] = mark;
+  m.file.write_at(m.slot_offset(leaf, slot), &h, sizeof h);
+  m.end_write(leaf, slot, mark);
 }
 
 }  // namespace chiaro::blend

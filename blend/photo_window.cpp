@@ -105,6 +105,8 @@ class Surroundings {
   Surroundings(Preparation& p, const WindowOptions& options)
       : p_(p), to_mask_(distance_to_marked(p.masked, p.width, p.rows, options.border_px)),
         to_saturated_(distance_to_marked(p.saturated, p.width, p.rows, saturation_ramp_px(options.border_px))), surface_(std::move(p.surface), options.low_radius) {}
+  /// What it took over; there are no means after that.
+  SurfacePlanes release() { return std::move(surface_).release(); }
   SurfaceMean mean(int x, int y) const { return surface_.mean(x, y, p_.pixels[index(x, y)].footprint); }
   void add(int x, int y, float cosv, PixelEvidence& e) const {
     e.cosv = cosv;
@@ -120,8 +122,9 @@ class Surroundings {
   SurfacePyramid surface_;
 };
 
-void split_bands(Preparation& p, const WindowOptions& options, int first, int last) {
-  const Surroundings around(p, options);
+/// Rows [first, last) of what is prepared are the window's.
+void split_bands(Preparation& p, const WindowOptions& options, int first, int last, PhotoWindow& window) {
+  Surroundings around(p, options);
   parallel_blocks(static_cast<std::size_t>(last - first), 2, [&](std::size_t y0, std::size_t y1) {
     for (int y = first + static_cast<int>(y0); y < first + static_cast<int>(y1); ++y)
       for (int x = 0; x < p.width; ++x) {
@@ -138,6 +141,22 @@ void split_bands(Preparation& p, const WindowOptions& options, int first, int la
         pixel.weight *= surroundings_quality(evidence, options.scale());
       }
   });
+  window.wider = options.wider;
+  window.wider_means.assign(static_cast<std::size_t>(last - first) * static_cast<std::size_t>(p.width * options.wider), Vec3f::Zero());
+  SurfacePlanes surface;
+  if (options.wider > 0) surface = around.release();
+  for (int i = 0; i < options.wider; ++i) {
+    SurfacePyramid pyramid(std::move(surface), options.wider_radius(i));
+    parallel_blocks(static_cast<std::size_t>(last - first), 2, [&](std::size_t y0, std::size_t y1) {
+      for (std::size_t y = y0; y < y1; ++y)
+        for (int x = 0; x < p.width; ++x) {
+          const int row = first + static_cast<int>(y);
+          const SurfaceMean mean = pyramid.mean(x, row, p.pixels[around.index(x, row)].footprint);
+          if (mean.valid) window.wider_means[(y * static_cast<std::size_t>(p.width) + static_cast<std::size_t>(x)) * static_cast<std::size_t>(options.wider) + static_cast<std::size_t>(i)] = mean.albedo;
+        }
+    });
+    surface = std::move(pyramid).release();
+  }
 }
 
 /// Rows [y0, y1) with their halo, up to where only their surroundings are missing.
@@ -225,13 +244,13 @@ OctaveHistogram brightnesses(const PhotographRasters& rasters) {
 }
 
 int halo_rows(const WindowOptions& options, float smallest_footprint) {
-  const int reach = std::max(reach_rows(options.low_radius, smallest_footprint), static_cast<int>(std::ceil(options.border_px)) + 1);
+  const int reach = std::max(reach_rows(options.wider > 0 ? options.wider_radius(options.wider - 1) : options.low_radius, smallest_footprint), static_cast<int>(std::ceil(options.border_px)) + 1);
   return reach + kPyramidRows;   // the window begins and ends at whole blocks
 }
 
-std::size_t window_bytes_per_pixel() {
+std::size_t window_bytes_per_pixel(int wider) {
   // pixel, surface and its coarser levels, cosv and edge, masks, two distances with their work array or two planes on the way in
-  return sizeof(WindowPixel) + SurfacePlanes::bytes_per_pixel() * 4 / 3 + 2 * sizeof(float) + 2 + 3 * sizeof(float);
+  return held_bytes_per_pixel(wider) + SurfacePlanes::bytes_per_pixel() * 4 / 3 + 2 * sizeof(float) + 2 + 3 * sizeof(float);
 }
 
 PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options) {
@@ -241,7 +260,7 @@ PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& 
   window.rows = std::min(rasters.height(), y1 + margin) - window.y0;
   Preparation p = prepare(rasters, camera, y0 - margin, y1 + margin, halo, options);
   const int first = window.y0 - p.y0;
-  split_bands(p, options, first, first + window.rows);
+  split_bands(p, options, first, first + window.rows, window);
   const auto begin = p.pixels.begin() + static_cast<std::ptrdiff_t>(first) * p.width;
   p.pixels.erase(begin + static_cast<std::ptrdiff_t>(window.rows) * p.width, p.pixels.end());
   p.pixels.erase(p.pixels.begin(), begin);

@@ -47,9 +47,11 @@ OctaveHistogram footprints(const PhotographRasters& rasters);
 OctaveHistogram brightnesses(const PhotographRasters& rasters);
 
 struct WindowOptions {
-  float low_radius = 0;           ///< project units: the split between the bands
+  float low_radius = 0;           ///< project units: the split between the highest band and the next
   float reference_footprint = 1;  ///< project units
   float border_px = 12;
+  int wider = 0;                  ///< further splits, each at twice the radius of the one before
+  float wider_radius(int i) const { return low_radius * static_cast<float>(2 << i); }
   WeightScale scale() const { return {reference_footprint, border_px}; }
 };
 
@@ -64,6 +66,8 @@ struct WindowPixel {
 struct PhotoWindow {
   int width = 0, y0 = 0, rows = 0;   ///< rows of the image that are held: [y0, y0 + rows)
   std::vector<WindowPixel> pixels;
+  int wider = 0;
+  std::vector<Vec3f> wider_means;    ///< of each pixel as many: the albedo's means over twice the radius of WindowPixel::low, four times, …
   const WindowPixel* at(int x, int y) const {
     if (x < 0 || x >= width || y < y0 || y >= y0 + rows) return nullptr;
     return &pixels[static_cast<std::size_t>(y - y0) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)];
@@ -72,8 +76,9 @@ struct PhotoWindow {
 
 /// Rows that must be read above and below so that every pixel of the window is final.
 int halo_rows(const WindowOptions& options, float smallest_footprint);
-/// Memory while a window is prepared, per pixel, halo included.
-std::size_t window_bytes_per_pixel();
+/// Memory while a window is prepared, per pixel, halo included; and of the finished one.
+std::size_t window_bytes_per_pixel(int wider = 0);
+inline std::size_t held_bytes_per_pixel(int wider) { return sizeof(WindowPixel) + static_cast<std::size_t>(wider) * sizeof(Vec3f); }
 
 /// Pixels whose surfels belong to rows [y0, y1), with `margin` rows more on both sides: one for interpolation, more where it is read beside the surfel.
 PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options);

@@ -9,6 +9,16 @@ namespace {
 
 constexpr float kLeastCos = 0.05f;   // beyond 87 degrees a tangent plane predicts nothing
 
+}  // namespace
+
+float visibility_tolerance(float surfel_radius, float pixel_radius, float footprint, float cosv) {
+  const float c = std::max(kLeastCos, cosv);
+  const float slope = std::sqrt(std::max(0.0f, 1 - c * c)) / c;
+  return 0.3f * (surfel_radius + pixel_radius) + 0.5f * footprint * (1 + slope);
+}
+
+namespace {
+
 /// Axes of the image on the sphere of directions around `direction`: one pixel to the right or down is footprint / depth along them.
 struct PixelAxes {
   Vec3f right, down;
@@ -21,18 +31,6 @@ PixelAxes pixel_axes(const Mat3d& rotation_camera_from_world, const Vec3f& direc
   return {right, direction.cross(right)};
 }
 
-/// Distance along `direction` to the tangent plane of a pixel that lies (du, dv) pixels away, and the cosine of its slant.
-struct Prediction {
-  float distance = 0, cosv = 0;
-};
-Prediction predict(const WindowPixel& pixel, const Vec3f& direction, const PixelAxes& axes, float du, float dv) {
-  const float angle = pixel.footprint / pixel.depth;
-  const Vec3f towards_pixel = (direction + angle * (du * axes.right + dv * axes.down)).normalized();
-  const float c = std::abs(pixel.normal.dot(direction));
-  if (c < kLeastCos) return {pixel.depth, kLeastCos};
-  return {pixel.depth * pixel.normal.dot(towards_pixel) / pixel.normal.dot(direction), c};
-}
-
 /// A surfel before a camera.
 struct SurfelView {
   Vec2d pixel;
@@ -41,27 +39,79 @@ struct SurfelView {
   float distance = 0, radius = 0;
 };
 
-/// Bilinear at `place`, from the pixels whose planes, carried on to the surfel, meet it.
-std::optional<Sample> read_at(const SurfelView& view, const Vec2d& place, const PhotoWindow& window) {
+/// Four pixels around a place, a plane a number: the compiler does all four at once.
+struct FourPixels {
+  const WindowPixel* pixel[4] = {};
+  float share[4] = {}, du[4] = {}, dv[4] = {};   // bilinear share; pixels from the surfel's own
+  float depth[4] = {}, footprint[4] = {}, radius[4] = {}, nx[4] = {}, ny[4] = {}, nz[4] = {};
+};
+
+FourPixels pixels_around(const SurfelView& view, const Vec2d& place, const PhotoWindow& window) {
+  FourPixels four;
   const int x0 = static_cast<int>(std::floor(place.x() - 0.5)), y0 = static_cast<int>(std::floor(place.y() - 0.5));
-  Sample sample;
-  float agreeing = 0;
   for (int k = 0; k < 4; ++k) {
     const int x = x0 + (k & 1), y = y0 + (k >> 1);
     const WindowPixel* p = window.at(x, y);
     if (!p || !(p->weight > 0)) continue;
-    const auto share = static_cast<float>((1 - std::abs(x + 0.5 - place.x())) * (1 - std::abs(y + 0.5 - place.y())));
-    if (!(share > 0)) continue;
-    const auto du = static_cast<float>(x + 0.5 - view.pixel.x()), dv = static_cast<float>(y + 0.5 - view.pixel.y());
-    const Prediction seen = predict(*p, view.direction, view.axes, du, dv);
-    if (!(std::abs(view.distance - seen.distance) <= visibility_tolerance(view.radius, p->radius, p->footprint, seen.cosv))) continue;
+    four.share[k] = static_cast<float>((1 - std::abs(x + 0.5 - place.x())) * (1 - std::abs(y + 0.5 - place.y())));
+    if (!(four.share[k] > 0)) continue;
+    four.pixel[k] = p;
+    four.du[k] = static_cast<float>(x + 0.5 - view.pixel.x());
+    four.dv[k] = static_cast<float>(y + 0.5 - view.pixel.y());
+    four.depth[k] = p->depth;
+    four.footprint[k] = p->footprint;
+    four.radius[k] = p->radius;
+    four.nx[k] = p->normal.x();
+    four.ny[k] = p->normal.y();
+    four.nz[k] = p->normal.z();
+  }
+  return four;
+}
+
+/// Whether the tangent planes of the pixels meet the surfel, and the cosines of their slants. A plane is met where the ray through the surfel does.
+struct Met {
+  bool is[4];
+  float cosv[4];
+};
+Met meet(const FourPixels& p, const SurfelView& view) {
+  Met met;
+  const float x = view.direction.x(), y = view.direction.y(), z = view.direction.z();
+  const Vec3f &right = view.axes.right, &down = view.axes.down;
+  float distance[4], tolerance[4];
+  for (int k = 0; k < 4; ++k) {
+    const float angle = p.footprint[k] / p.depth[k];
+    const float tx = x + angle * (p.du[k] * right.x() + p.dv[k] * down.x()), ty = y + angle * (p.du[k] * right.y() + p.dv[k] * down.y()), tz = z + angle * (p.du[k] * right.z() + p.dv[k] * down.z());
+    const float length = std::sqrt(tx * tx + (ty * ty + tz * tz));
+    const float along = p.nx[k] * x + (p.ny[k] * y + p.nz[k] * z), towards = p.nx[k] * (tx / length) + (p.ny[k] * (ty / length) + p.nz[k] * (tz / length));
+    const float c = std::abs(along);
+    const bool is_grazing = c < kLeastCos;
+    distance[k] = is_grazing ? p.depth[k] : p.depth[k] * towards / along;
+    met.cosv[k] = is_grazing ? kLeastCos : c;
+    tolerance[k] = visibility_tolerance(view.radius, p.radius[k], p.footprint[k], met.cosv[k]);
+  }
+  for (int k = 0; k < 4; ++k) met.is[k] = p.pixel[k] && std::abs(view.distance - distance[k]) <= tolerance[k];
+  return met;
+}
+
+/// Bilinear at `place`, from the pixels whose planes, carried on to the surfel, meet it.
+std::optional<Sample> read_at(const SurfelView& view, const Vec2d& place, const PhotoWindow& window) {
+  const FourPixels four = pixels_around(view, place, window);
+  const Met met = meet(four, view);
+  Sample sample;
+  float agreeing = 0;
+  for (int k = 0; k < 4; ++k) {
+    if (!met.is[k]) continue;
+    const WindowPixel& p = *four.pixel[k];
+    const float share = four.share[k];
     agreeing += share;
-    sample.weight += share * p->weight;
-    sample.sigma += share * p->sigma;
-    sample.shared += share * p->shared;
-    sample.footprint += share * p->footprint / std::sqrt(seen.cosv);
-    sample.low += share * p->low;
-    sample.high += share * p->high;
+    sample.weight += share * p.weight;
+    sample.sigma += share * p.sigma;
+    sample.shared += share * p.shared;
+    sample.footprint += share * p.footprint / std::sqrt(met.cosv[k]);
+    sample.low += share * p.low;
+    sample.high += share * p.high;
+    const Vec3f* wider = window.wider_means.data() + (&p - window.pixels.data()) * window.wider;
+    for (int i = 0; i < window.wider; ++i) sample.wider[static_cast<std::size_t>(i)] += share * wider[i];
   }
   if (!(sample.weight > 0) || agreeing < 0.25f) return std::nullopt;   // less than a quarter is extrapolation
   sample.sigma /= agreeing;
@@ -69,6 +119,7 @@ std::optional<Sample> read_at(const SurfelView& view, const Vec2d& place, const 
   sample.footprint /= agreeing;
   sample.low /= agreeing;
   sample.high /= agreeing;
+  for (Vec3f& mean : sample.wider) mean /= agreeing;
   return sample;
 }
 
@@ -83,47 +134,26 @@ std::vector<Vec3d> box_points(const Box3d& box) {
 
 }  // namespace
 
-float visibility_tolerance(float surfel_radius, float pixel_radius, float footprint, float cosv) {
-  const float c = std::max(kLeastCos, cosv);
-  const float slope = std::sqrt(std::max(0.0f, 1 - c * c)) / c;
-  return 0.3f * (surfel_radius + pixel_radius) + 0.5f * footprint * (1 + slope);
+std::optional<Vec2d> SurfelReader::project(const stream::Surfel& surfel) const {
+  const auto pixel = stream::project(camera_.lens, camera_.pose.camera_from_world(surfel.position_in_world));
+  if (!pixel || !(pixel->x() >= 0 && pixel->x() < camera_.lens.width_px && pixel->y() >= 0 && pixel->y() < camera_.lens.height_px)) return std::nullopt;
+  const int row = static_cast<int>(pixel->y());
+  return row >= y0_ && row < y1_ ? pixel : std::nullopt;
 }
 
-std::optional<Vec2d> project_surfel(const stream::Camera& camera, const stream::Surfel& surfel) {
-  const auto pixel = stream::project(camera.lens, camera.pose.camera_from_world(surfel.position_in_world));
-  if (!pixel || !(pixel->x() >= 0 && pixel->x() < camera.lens.width_px && pixel->y() >= 0 && pixel->y() < camera.lens.height_px)) return std::nullopt;
-  return pixel;
-}
-
-std::optional<Sample> read_surfel(const stream::Camera& camera, const stream::Surfel& surfel, const Vec2d& pixel, const Vec2f& shift_px, const PhotoWindow& window) {
-  const Vec3d from_camera = surfel.position_in_world - camera.pose.centre_in_world();
+std::optional<Sample> SurfelReader::read(const stream::Surfel& surfel, const Vec2d& pixel) const {
+  const Vec3d from_camera = surfel.position_in_world - centre_in_world_;
   const double distance = from_camera.norm();
   const Vec3f direction = (from_camera / distance).cast<float>();
   if ((surfel.flags & stream::SurfelBlock::kOriented) != 0 && surfel.normal.dot(direction) >= 0) return std::nullopt;
-  const SurfelView view{pixel, direction, pixel_axes(camera.pose.rotation_camera_from_world, direction), static_cast<float>(distance), surfel.radius};
-  auto sample = read_at(view, pixel + shift_px.cast<double>(), window);
-  if (!sample || shift_px == Vec2f::Zero()) return sample;
+  const SurfelView view{pixel, direction, pixel_axes(camera_.pose.rotation_camera_from_world, direction), static_cast<float>(distance), surfel.radius};
+  auto sample = read_at(view, pixel + shift_px_.cast<double>(), window_);
+  if (!sample || shift_px_ == Vec2f::Zero()) return sample;
   // Pixels are mixed where the surface itself ends, which is at its own place, whatever the photograph is shifted by.
-  const auto own = read_at(view, pixel, window);
+  const auto own = read_at(view, pixel, window_);
   if (!own) return std::nullopt;
   sample->weight = std::min(sample->weight, own->weight);
   return sample;
-}
-
-std::vector<Sample> sample_chunk(const stream::Chunk& chunk, const stream::Camera& camera, const Vec2f& shift_px, const PhotoWindow& window, int y0, int y1) {
-  std::vector<Sample> samples;
-  for (std::uint32_t slot = 0; slot < chunk.count; ++slot) {
-    const stream::Surfel surfel = chunk.surfel(slot);
-    const auto pixel = project_surfel(camera, surfel);
-    if (!pixel) continue;
-    const int row = static_cast<int>(pixel->y());
-    if (row < y0 || row >= y1) continue;
-    if (auto sample = read_surfel(camera, surfel, *pixel, shift_px, window)) {
-      sample->slot = slot;
-      samples.push_back(*sample);
-    }
-  }
-  return samples;
 }
 
 RowSpan rows_of_box(const stream::Camera& camera, const Box3d& box) {

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "blend/accumulate.h"
+#include "blend/blend.h"
 #include "blend/leaf_file.h"
 #include "stream/store/layer.h"
 
@@ -15,7 +16,11 @@ inline constexpr std::size_t kLayerBytes = 4 * sizeof(float) + sizeof(std::uint1
 struct LeafStats {
   std::uint64_t points = 0, points_seen = 0, points_disputed = 0;
   std::vector<std::uint32_t> counters;   ///< those of the record
+  Denoising denoising;
 };
+
+/// What denoising made of a leaf's values.
+Denoising compared(const std::vector<BlendedSurfel>& before, const std::vector<BlendedSurfel>& after);
 
 std::vector<BlendedSurfel> resolve_leaf(const LeafRecord<Accumulator>& record, float shared_sigma);
 /// chunk: the leaf's number in the store; values: what is written of its surfels.

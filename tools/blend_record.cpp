@@ -1,5 +1,6 @@
 #include "tools/blend_record.h"
 
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 
@@ -23,7 +24,7 @@ Json json_of(const blend::PhotographStats& p, const std::string& name) {
     j["shift_corrected_px"] = {p.alignment.shift_px.x(), p.alignment.shift_px.y()};
     j["trust"] = p.alignment.trust;
   }
-  if (const auto& d = i.disturbed) j["disturbed"] = {{"x0", d->x0}, {"y0", d->y0}, {"x1", d->x1}, {"y1", d->y1}, {"outvoted", d->outvoted}, {"judged", d->judged}};
+  if (const auto& d = i.disturbed) j["disturbed"] = {{"x0", d->x0}, {"y0", d->y0}, {"x1", d->x1}, {"y1", d->y1}, {"outvoted", d->outvoted}, {"judged", d->judged}, {"chance", d->chance}};
   return j;
 }
 
@@ -45,10 +46,15 @@ std::string blend_record_json(const blend::BlendStats& stats, std::span<const bl
     each.push_back(json_of(stats.photographs[k], photographs[k].name));
     add_notes(stats.photographs[k], photographs[k].name, notes);
   }
+  Json denoising;   // null: not asked for
+  if (const auto& d = stats.denoising) {
+    const double n = static_cast<double>(std::max<std::uint64_t>(1, d->points));
+    denoising = {{"points", d->points}, {"points_changed", d->points_changed}, {"mean_sigma_before", d->sigma_before / n}, {"mean_sigma_after", d->sigma_after / n}};
+  }
   const Json record{{"points", stats.points}, {"points_seen", stats.points_seen}, {"points_disputed", stats.points_disputed}, {"samples", stats.samples},
                     {"scatter", stats.scatter}, {"leaves", stats.leaves}, {"leaves_kept", stats.leaves_kept}, {"photographs_read", stats.photographs_read}, {"scratch_bytes", stats.scratch_bytes},
                     {"weights", {{"footprint", stats.window.reference_footprint}, {"low_radius", stats.window.low_radius}, {"border_px", stats.window.border_px}}},
-                    {"photographs", each}, {"notes", notes}};
+                    {"denoising", denoising}, {"photographs", each}, {"notes", notes}};
   return record.dump();
 }
 

@@ -7,7 +7,7 @@
 
 namespace chiaro::tools {
 
-/// {"points", "points_seen", "points_disputed", "samples", "scatter", "leaves", "leaves_kept", "photographs_read", "scratch_bytes", "weights": {"footprint", "low_radius", "border_px"}, "photographs": [{"photograph", "samples", "rejected", "gain", "shift_px", …}], "notes": [sentences]}
+/// {"points", "points_seen", "points_disputed", "samples", "scatter", "leaves", "leaves_kept", "photographs_read", "scratch_bytes", "weights": {"footprint", "low_radius", "border_px"}, "denoising": {"points", "points_changed", "mean_sigma_before", "mean_sigma_after"} or null, "photographs": [{"photograph", "samples", "rejected", "gain", "shift_px", …}], "notes": [sentences]}
 /// photographs: those of the stats, in the same order.
 std::string blend_record_json(const blend::BlendStats& stats, std::span<const blend::BlendPhotograph> photographs);
 

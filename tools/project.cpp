@@ -330,8 +330,9 @@ void read_layer(const Section& blend, std::string& layer) {
 
 void read_blend(const toml::node* node, BlendInput& blend) {
   if (!node) return;
-  const Section section(as_table(*node, "blend"), "blend", {"layer", "keep", "reject", "gain", "align", "denoise", "refine", "refine_points"});
+  const Section section(as_table(*node, "blend"), "blend", {"layer", "bands", "keep", "reject", "gain", "align", "denoise", "refine", "refine_points"});
   read_layer(section, blend.layer);
+  if (const toml::node* bands = section.find("bands")) blend.bands = static_cast<int>(as_whole(*bands, "blend.bands", 2, 4));
   if (const toml::node* keep = section.find("keep")) blend.keep = as_switch(*keep, "blend.keep");
   if (const toml::node* reject = section.find("reject")) blend.reject = as_switch(*reject, "blend.reject");
   if (const toml::node* align = section.find("align")) blend.align = as_switch(*align, "blend.align");

@@ -90,6 +90,7 @@ struct Acquisition {
 
 struct BlendInput {
   std::string layer = "albedo";              ///< name of the layer that the run writes; never "input", which holds the cloud's own colour
+  int bands = 2;                             ///< frequency bands on the surface, 2 .. 4
   bool denoise = true;                       ///< what a point's own sigma leaves open is taken from its neighbours
   bool keep = false;                         ///< keep the sums, so that photographs can be added or taken away later at the cost of what they see
   bool reject = true;                        ///< leave out readings that most photographs of a point contradict

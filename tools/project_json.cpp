@@ -47,6 +47,7 @@ std::string to_json(const Project& project) {
   }
   out["solve"] = {{"method", name_of(project.method)}};
   out["blend"] = {{"layer", project.blend.layer}, {"keep", project.blend.keep}, {"reject", project.blend.reject}, {"gain", name_of(project.blend.gain)}, {"align", project.blend.align}, {"denoise", project.blend.denoise}};
+  if (project.blend.bands != 2) out["blend"]["bands"] = project.blend.bands;
   if (project.blend.refine != BlendRefine::kNone) {
     out["blend"]["refine"] = name_of(project.blend.refine);
     if (project.blend.refine_points) out["blend"]["refine_points"] = *project.blend.refine_points;

@@ -33,7 +33,7 @@ class LayerStages {
   void blend(const stream::Store& store) {
     std::vector<blend::BlendPhotograph> photographs;
     blend::BlendOptions options;
-    Hasher h = keyed("blend 6");
+    Hasher h = keyed("blend 7");
     h.add(store.manifest().key);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {
@@ -42,11 +42,13 @@ class LayerStages {
         h.add(p.albedo_key).add(p.input->key);
       }
     h.add(std::uint64_t{run_.project.blend.reject}).add(static_cast<std::uint64_t>(run_.project.blend.gain)).add(std::uint64_t{run_.project.blend.align}).add(std::uint64_t{denoises()});
+    if (run_.project.blend.bands != 2) h.add("bands").add(static_cast<std::uint64_t>(run_.project.blend.bands));
     run_.record.count("photographs_used", photographs.size());
     layer_key_ = h.hex();
     const std::string layer = run_.project.blend.layer;
     prepare_kept(layer);
     options.layer = layer;
+    options.bands = run_.project.blend.bands;
     options.reject = run_.project.blend.reject;
     options.align = run_.project.blend.align;
     options.denoise = denoises();

@@ -7,7 +7,7 @@
 namespace chiaro::blend {
 namespace {
 
-Sample sample(float weight, float low, float high, float sigma) { return {0, weight, sigma, 0, Vec3f::Constant(low), Vec3f::Constant(high)}; }
+Sample sample(float weight, float low, float high, float sigma) { return {weight, sigma, 0, Vec3f::Constant(low), Vec3f::Constant(high)}; }
 
 TEST(Accumulate, TwoPhotographsByHand) {
   Accumulator sum;
@@ -24,6 +24,24 @@ TEST(Accumulate, TwoPhotographsByHand) {
   add_sample(apart, sample(3, 0.6f, -0.1f, 0.04f), 2);
   EXPECT_NEAR(resolve(apart, 0.03f).albedo[0], (0.4f + 3 * 0.6f) / 4 + (0.1f - 9 * 0.1f) / 10, 1e-6f);
   EXPECT_NEAR(resolve(apart, 0).sigma, std::sqrt(0.0075f / 0.6f) / 0.55f, 1e-5f);
+}
+
+TEST(Accumulate, ThreeBandsByHand) {
+  Accumulator sum;
+  std::array<MiddleSum, 1> middle{};
+  Sample a = sample(1, 0.6f, 0.1f, 0.02f), b = sample(4, 0.5f, -0.1f, 0.02f);
+  a.wider[0].setConstant(0.55f);
+  b.wider[0].setConstant(0.45f);
+  add_sample(sum, a, 2, middle);
+  add_sample(sum, b, 2, middle);
+  // weights 1 and 4 in the lowest band, to the power of 1.5 in the middle one, of 2 in the highest
+  EXPECT_NEAR(resolve(sum, 0, middle).albedo[1], (0.55f + 4 * 0.45f) / 5 + 0.05f + (0.1f - 16 * 0.1f) / 17, 1e-6f);
+  a.wider[0].setConstant(0.5f);   // middle bands of 0.1 and 0.05
+  sum = {};
+  middle = {};
+  add_sample(sum, a, 2, middle);
+  add_sample(sum, b, 2, middle);
+  EXPECT_NEAR(resolve(sum, 0, middle).albedo[1], (0.5f + 4 * 0.45f) / 5 + (0.1f + 8 * 0.05f) / 9 + (0.1f - 16 * 0.1f) / 17, 1e-6f);
 }
 
 TEST(Accumulate, ContradictionShowsInSigma) {

@@ -13,7 +13,7 @@ namespace {
 
 constexpr float kTolerance = 0.05f;
 
-Sample reading(float value, float weight = 1, float high = 0) { return {0, weight, 0.01f, 0, Vec3f::Constant(value), Vec3f::Constant(high)}; }
+Sample reading(float value, float weight = 1, float high = 0) { return {weight, 0.01f, 0, Vec3f::Constant(value), Vec3f::Constant(high)}; }
 
 Ballot ballot_of(std::initializer_list<Sample> samples) {
   Ballot ballot;

@@ -45,6 +45,112 @@ TEST(Blend, OnePhotographComesOutAsItWentIn) {
   }
 }
 
+/// Paint with detail of every size.
+AnalyticScene painted_plane() {
+  AnalyticScene scene = plane_scene();
+  scene.albedo = [](const Vec3d& p) -> Vec3f {
+    const double detail = std::sin(200 * p.x()) * std::sin(170 * p.y()) + std::sin(60 * p.x() + 40 * p.y()) + std::sin(20 * p.y());
+    return smooth_paint(p) + Vec3f::Constant(0.05f * static_cast<float>(detail));
+  };
+  return scene;
+}
+
+TEST(Blend, OnePhotographIsTheSameInAnyNumberOfBands) {
+  const Workplace w(painted_plane());
+  const BlendPhotograph photo = w.photograph("a", Vec3d(0.4, 0.5, 0.8), Vec3d(0.5, 0.5, 0));
+  w.run({photo});
+  const auto two = w.result();
+  for (const int bands : {3, 4}) {
+    BlendOptions options;
+    options.bands = bands;
+    w.run({photo}, options);
+    const auto more = w.result();
+    ASSERT_EQ(more.size(), two.size());
+    std::size_t seen = 0;
+    for (std::size_t i = 0; i < two.size(); ++i) {
+      ASSERT_EQ(more[i].photos, two[i].photos);
+      if (two[i].photos == 0) continue;
+      ++seen;
+      ASSERT_LE((more[i].albedo - two[i].albedo).cwiseAbs().maxCoeff(), 1e-6f) << bands;
+    }
+    EXPECT_GT(seen, 3000u);
+  }
+}
+
+TEST(Blend, FurtherBandsHaveWeightsOfTheirOwn) {
+  // One of two photographs is brighter by 10 %: all bands say something between the two, each by its own share.
+  const Workplace w(plane_scene());
+  const std::vector<BlendPhotograph> photos{w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.3, 0.5, 0)), w.photograph("b", Vec3d(0.7, 0.5, 0.7), Vec3d(0.7, 0.5, 0), gained(1.1f))};
+  std::vector<std::vector<float>> ratio;
+  for (const int bands : {2, 3, 4}) {
+    BlendOptions options;
+    options.bands = bands;
+    options.gain = Gain::kNone;
+    options.reject = false;
+    w.run(photos, options);
+    ratio.emplace_back();
+    for (const Seen& s : w.result()) ratio.back().push_back(s.photos == 2 ? s.albedo[1] / smooth_paint(s.position)[1] : 1);
+  }
+  double apart = 0;
+  for (std::size_t i = 0; i < ratio[0].size(); ++i) {
+    for (std::size_t b = 0; b < 3; ++b) ASSERT_TRUE(ratio[b][i] > 0.98f && ratio[b][i] < 1.12f);   // between what the two say
+    apart = std::max(apart, static_cast<double>(std::abs(ratio[2][i] - ratio[0][i])));
+  }
+  EXPECT_GT(apart, 1e-4);   // bands are blended by weights of their own
+}
+
+TEST(Blend, ThreeBandsHaveTheSameBytesForAnyBudgetAndAfterStops) {
+  const Workplace w(painted_plane());
+  const std::vector<BlendPhotograph> photos{w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.3, 0.5, 0)), w.photograph("b", Vec3d(0.7, 0.4, 0.5), Vec3d(0.7, 0.5, 0), gained(1.1f)),
+                                            w.photograph("c", Vec3d(0.5, 0.9, 0.8), Vec3d(0.5, 0.5, 0), gained(0.95f))};
+  BlendOptions options;
+  options.bands = 3;
+  w.run(photos);
+  const auto two = w.bytes();
+  w.run(photos, options);
+  const auto expected = w.bytes();
+  EXPECT_NE(expected, two);
+  w.run(photos, options, 3000 << 10);
+  EXPECT_EQ(w.bytes(), expected);
+  int stops = 0;
+  for (int calls = 3;; calls += 9) {
+    StoppingReporter report(calls);
+    try {
+      w.run(photos, options, stops % 2 == 0 ? kPlenty : 3000 << 10, report);
+      break;
+    } catch (const Cancelled&) {
+      ++stops;
+    }
+    ASSERT_LT(stops, 100);
+  }
+  EXPECT_GE(stops, 3);
+  EXPECT_EQ(w.bytes(), expected);
+  options.low_band_px = 40;
+  EXPECT_THROW(w.run(photos, options), std::invalid_argument);
+  options = {};
+  options.bands = 5;
+  EXPECT_THROW(w.run(photos, options), std::invalid_argument);
+}
+
+TEST(Blend, TellsWhatDenoisingDidToSigma) {
+  const Workplace w(plane_scene());
+  const std::vector<BlendPhotograph> photos{w.photograph("a", Vec3d(0.4, 0.5, 0.7), Vec3d(0.5, 0.5, 0)), w.photograph("b", Vec3d(0.6, 0.5, 0.7), Vec3d(0.5, 0.5, 0))};
+  EXPECT_FALSE(w.run(photos).denoising);
+  double before = 0, after = 0;
+  for (const Seen& s : w.result()) before += s.photos > 0 ? static_cast<double>(s.sigma) : 0;
+  BlendOptions options;
+  options.denoise = true;
+  const BlendStats stats = w.run(photos, options);
+  for (const Seen& s : w.result()) after += s.photos > 0 ? static_cast<double>(s.sigma) : 0;
+  ASSERT_TRUE(stats.denoising);
+  EXPECT_EQ(stats.denoising->points, stats.points_seen);
+  EXPECT_GT(stats.denoising->points_changed, stats.points_seen / 2);
+  EXPECT_LE(stats.denoising->points_changed, stats.points_seen);
+  EXPECT_NEAR(stats.denoising->sigma_before, before, 1e-9 * before);
+  EXPECT_NEAR(stats.denoising->sigma_after, after, 1e-9 * after);
+  EXPECT_LT(after, 0.8 * before);
+}
+
 TEST(Blend, UnseenPointsAreNaNAndSharedSigmaIsAdded) {
   const Workplace w(plane_scene());
   BlendOptions options;

@@ -44,7 +44,7 @@ InspectionCounts inspected(const PhotoWindow& window, const std::function<float(
     const Vec2d pixel(static_cast<double>(u[0]) * kWidth, static_cast<double>(u[1]) * kHeight);
     Ballot ballot;
     for (std::uint16_t k = 0; k < 4; ++k)
-      cast_vote(ballot, k, {0, 1, 0.01f, 0, Vec3f::Constant(0.5f), Vec3f::Constant(0.5f * detail(pixel.x() - (k == 3 ? others_dx : 0), pixel.y()))}, 0.5f);
+      cast_vote(ballot, k, {1, 0.01f, 0, Vec3f::Constant(0.5f), Vec3f::Constant(0.5f * detail(pixel.x() - (k == 3 ? others_dx : 0), pixel.y()))}, 0.5f);
     const auto majority = majority_of(ballot, no_gains, 0.05f);
     inspect_reading(ballot, *majority, 0, log_value(Vec3f::Constant(value(pixel)), 0.5f), 0.05f, pixel, window, counts);
   }
@@ -89,7 +89,7 @@ TEST(Inspect, APeakThatIsFlatIsNoShift) {
     const auto u = uniform01x4(22, Purpose::kTest, i, 0);
     const Vec2d pixel(static_cast<double>(u[0]) * kWidth, static_cast<double>(u[1]) * kHeight);
     Ballot ballot;
-    for (std::uint16_t k = 0; k < 4; ++k) cast_vote(ballot, k, {0, 1, 0.01f, 0, Vec3f::Constant(0.5f), Vec3f::Constant(0.5f * smooth(pixel.x(), pixel.y()))}, 0.5f);
+    for (std::uint16_t k = 0; k < 4; ++k) cast_vote(ballot, k, {1, 0.01f, 0, Vec3f::Constant(0.5f), Vec3f::Constant(0.5f * smooth(pixel.x(), pixel.y()))}, 0.5f);
     inspect_reading(ballot, *majority_of(ballot, no_gains, 0.05f), 0, log_value(Vec3f::Constant(0.5f), 0.5f), 0.05f, pixel, window, counts);
   }
   const Inspection i = conclude(counts);
@@ -110,6 +110,30 @@ TEST(Inspect, NamesThePartThatShowsSomethingElse) {
   EXPECT_GT(i.disturbed->outvoted, 250u);
   ASSERT_TRUE(i.shift_px);   // what agrees still says where the photograph lies
   EXPECT_LT(i.shift_px->norm(), 0.1f);
+}
+
+/// Edges of shadows and relief: small clusters all over the image, of which one is a little larger than the others.
+TEST(Inspect, WhereClustersAreEverywhereTheLargestOneIsChance) {
+  InspectionCounts counts(640, 480);
+  const auto outvote = [&](int x, int y, int cells_x, int cells_y) {
+    for (int v = y; v < y + cells_y; ++v)
+      for (int u = x; u < x + cells_x; ++u) counts.outvoted[static_cast<std::size_t>(v * counts.cells_x + u)] = 30;
+  };
+  std::fill(counts.judged.begin(), counts.judged.end(), 32u);
+  for (int k = 0; k < 10; ++k) outvote(2 + 5 * k, 3, 1 + k % 2, 1);
+  outvote(10, 20, 3, 2);
+  EXPECT_FALSE(conclude(counts).disturbed);
+  outvote(10, 20, 4, 4);   // a disc of 40 pixels and more
+  const auto disturbed = conclude(counts).disturbed;
+  ASSERT_TRUE(disturbed);
+  EXPECT_EQ(disturbed->x0, 10 * counts.cell_px);
+  EXPECT_EQ(disturbed->y1, 24 * counts.cell_px);
+  EXPECT_LT(disturbed->chance, 0.003f);
+  InspectionCounts alone(640, 480);   // nothing else in the picture: less is enough
+  std::fill(alone.judged.begin(), alone.judged.end(), 32u);
+  counts = alone;
+  outvote(10, 20, 4, 2);
+  EXPECT_TRUE(conclude(counts).disturbed);
 }
 
 TEST(Inspect, WhatIsDoneAboutAShift) {

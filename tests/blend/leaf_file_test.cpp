@@ -21,7 +21,7 @@ class LeafFileTest : public ::testing::Test {
  protected:
   ScratchFolder folder;
   std::filesystem::path path = folder.path() / "blend.sums";
-  LeafFile open(const std::string& key = "key") { return LeafFile(path, key, {{100, 7, 2000}, 5, 5, sizeof(Accumulator)}); }
+  LeafFile open(const std::string& key = "key") { return LeafFile(path, key, {{100, 7, 2000}, 5, 5, sizeof(Accumulator), 0}); }
 };
 
 TEST_F(LeafFileTest, KeepsTheNewestStateOfEachLeaf) {
@@ -88,6 +88,51 @@ TEST_F(LeafFileTest, DamageInASyncedStateIsAnErrorAndNotAResult) {
   }
   auto file = open();
   EXPECT_THROW(file.read<Accumulator>(2), Error);
+}
+
+TEST_F(LeafFileTest, WhatIsReplacedGoesBackToTheDisk) {
+  const LeafShape shape{{2000, 2000}, 5, 5, sizeof(Accumulator), 0};
+  const std::uint64_t one = LeafFile::disk_bytes(shape, 0);
+  LeafFile file(path, "key", shape);
+  for (std::uint32_t k = 0; k < 4; ++k) {
+    for (const std::size_t leaf : {0u, 1u}) file.write(leaf, {k, 80}, record_of(2000, 5, static_cast<float>(k)));
+    file.set_photographs_done(k + 1);
+    EXPECT_LE(allocated_bytes(path), 2 * one + 4 * 4096) << k;   // and the headers
+  }
+  EXPECT_EQ(file.read<Accumulator>(0).surfels[5].low_weight, 3);
+  EXPECT_EQ(LeafFile::spare_bytes(1000), 1000u);
+  EXPECT_EQ(LeafFile::spare_bytes(std::uint64_t{8} << 30), std::uint64_t{1} << 30);
+}
+
+TEST_F(LeafFileTest, RoomRunsOutBeforeTheStateDoes) {
+  // more than the room for second states (64 MiB), written again and again without anything noted as done
+  const LeafShape shape{std::vector<std::uint32_t>(20, 65536), 5, 5, sizeof(Accumulator), 0};
+  const std::uint64_t one = LeafFile::disk_bytes(shape, 0), all = 20 * one;
+  ASSERT_GT(all, LeafFile::spare_bytes(all));
+  {
+    LeafFile file(path, "key", shape);
+    for (std::uint32_t k = 0; k < 3; ++k)
+      for (std::size_t leaf = 0; leaf < 20; ++leaf) {
+        file.write(leaf, {k, 80}, record_of(65536, 5, static_cast<float>(k)));
+        ASSERT_LE(allocated_bytes(path), all + LeafFile::spare_bytes(all) + 4 * 4096);
+      }
+  }
+  const LeafFile file(path, "key", shape);   // as after a kill
+  for (std::size_t leaf = 0; leaf < 20; ++leaf) ASSERT_EQ(file.read<Accumulator>(leaf).surfels[65535].low_weight, 2);
+}
+
+TEST_F(LeafFileTest, KeepsWhatBelongsToFurtherBands) {
+  const LeafShape shape{{3, 4}, 5, 5, sizeof(Accumulator), 2};
+  {
+    LeafFile file(path, "key", shape);
+    auto record = file.read<Accumulator>(1);
+    ASSERT_EQ(record.more.size(), 8u);
+    record.more[7] = {1, 2, 3, 4};
+    file.write(1, {0, 80}, record);
+    file.set_photographs_done(1);
+  }
+  EXPECT_FALSE(LeafFile::existing(path, "key", {{3, 4}, 5, 5, sizeof(Accumulator), 1}));
+  EXPECT_EQ(LeafFile(path, "key", shape).read<Accumulator>(1).more[7], (FourFloats{1, 2, 3, 4}));
 }
 
 TEST_F(LeafFileTest, RubbishIsReplaced) {

@@ -125,7 +125,7 @@ TEST_F(Refine, WhatIsStoppedGoesOn) {
   const std::string reference = bytes();
   std::filesystem::remove(file());
   int stops = 0;
-  for (int calls = 3;; calls += 2) {
+  for (int calls = 2;; ++calls) {
     StoppingReporter report(calls);
     try {
       find(photos, 5000, kPlenty, report);

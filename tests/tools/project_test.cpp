@@ -328,6 +328,10 @@ TEST_F(ProjectTest, BlendingHasItsOwnSection) {
   EXPECT_FALSE(p.blend.reject || p.blend.align);
   EXPECT_EQ(p.blend.gain, BlendGain::kChannels);
   EXPECT_FALSE(p.blend.keep);
+  EXPECT_EQ(p.blend.bands, 2);
+  EXPECT_EQ(load(kValid, Words{"blend.bands=4"}).blend.bands, 4);
+  EXPECT_THAT(complaint(kValid, {"blend.bands=5"}), HasSubstr("blend.bands"));
+  EXPECT_THAT(complaint(kValid, {"blend.bands=1"}), HasSubstr("blend.bands"));
   const Project q = load(kValid, Words{"blend.gain=none", "blend.align=true", "blend.keep=true"});
   EXPECT_TRUE(q.blend.keep);
   EXPECT_THAT(complaint(kValid, {"blend.keep=all"}), HasSubstr("blend.keep: expected true or false"));

@@ -1,0 +1,35 @@
+#include "blend/window_cache.h"
+
+#include "stream/base/error.h"
+
+namespace chiaro::blend {
+namespace {
+
+struct Held {
+  BudgetLease lease;
+  PhotoWindow window;
+};
+
+}  // namespace
+
+std::shared_ptr<const PhotoWindow> WindowCache::whole(const BlendPhotograph& photograph, std::uint64_t held, std::uint64_t most) {
+  if (const auto found = kept_.find(&photograph); found != kept_.end()) return found->second;
+  const stream::Lens& lens = photograph.camera.lens;
+  const std::uint64_t pixels = static_cast<std::uint64_t>(lens.width_px) * static_cast<std::uint64_t>(lens.height_px), bytes = pixels * held_bytes_per_pixel(options_.wider), preparing = pixels * window_bytes_per_pixel(options_.wider);
+  if (held + bytes > most || preparing > budget_.free_bytes() / 3 * 2) return nullptr;
+  const std::string what = concat("photograph ", photograph.name);
+  BudgetLease preparation(budget_, preparing, what);
+  const PhotographRasters rasters(lens, photograph.gbuffer, photograph.albedo, photograph.radiance);
+  const int halo = halo_rows(options_, footprints(rasters).smallest());
+  auto window = load_window(rasters, photograph.camera, 0, rasters.height(), 0, halo, options_);
+  preparation.release();
+  const auto whole = std::make_shared<Held>(Held{BudgetLease(budget_, bytes, what), std::move(window)});
+  const std::shared_ptr<const PhotoWindow> result(whole, &whole->window);
+  if (kept_bytes_ + bytes <= most_kept_) {
+    kept_.emplace(&photograph, result);
+    kept_bytes_ += bytes;
+  }
+  return result;
+}
+
+}  // namespace chiaro::blend
