@@ -202,7 +202,7 @@ void store_band(stream::RasterWriter& out, const std::vector<Pixel>& pixels, int
   out.write_rows<std::uint16_t>("slot", y0, slot);
 }
 
-/// Traces rows [y0, y1) with what the cut for them needs; splits the rows when the budget does not hold the cut.
+/// Traces rows [y0, y1) with what the cut for them needs; splits the rows when the cut is large, or the budget does not hold it.
 class Caster {
  public:
   Caster(const stream::Store& store, const stream::Camera& camera, const GBufferOptions& options, stream::RasterWriter& out, MemoryBudget& budget, Reporter& report)
@@ -214,14 +214,15 @@ class Caster {
     CutOptions cut = options_.cut;
     cut.max_bytes = budget_.free_bytes() / 10 * 8;
     const WorkingSet set = select_visible(store_, view, cut, budget_, report_);
-    if (!set.complete) {
-      if (y1 - y0 <= kBandRows)
+    const bool one_band = y1 - y0 <= kBandRows;
+    if (!set.complete || (set.bytes > options_.tile_bytes && !one_band)) {
+      if (one_band)
         throw Error(concat("memory budget: the surfels seen in rows ", y0, " to ", y1, " of ", camera_.photograph, " need ", format_bytes(set.bytes), ", ",
                            format_bytes(budget_.free_bytes()), " left; raise --memory"));
-      const int middle = (y0 + y1) / 2 / kBandRows * kBandRows;
-      const int split = middle > y0 ? middle : y0 + kBandRows;
-      run(y0, split);
-      run(split, y1);
+      const int bands = (y1 - y0 + kBandRows - 1) / kBandRows;
+      const auto parts = static_cast<int>(std::clamp<std::uint64_t>(set.bytes / (std::min(options_.tile_bytes, cut.max_bytes) + 1) + 1, 2, static_cast<std::uint64_t>(bands)));
+      const int rows = (bands + parts - 1) / parts * kBandRows;
+      for (int y = y0; y < y1; y += rows) run(y, std::min(y1, y + rows));
       return;
     }
     ++stats.tiles;

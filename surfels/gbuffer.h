@@ -19,12 +19,15 @@ struct GBufferOptions {
   std::optional<Vec3d> flash_in_camera;     ///< project units; absent: no flash planes
   std::optional<std::filesystem::path> mask_raster;   ///< raster with u8 plane `mask`: pixels without bit 1 get one ray and no flash
   CutOptions cut;
+  /// Discs with their structure that are held at a time, where fewer rows need fewer of them; about ten million. With more, the first row waits for seconds, and
+  /// memory holds what no other row needs.
+  std::uint64_t tile_bytes = std::uint64_t{256} << 20;
 };
 
 struct GBufferStats {
   std::uint64_t pixels = 0, pixels_hit = 0, rays = 0, shadow_rays = 0;
   std::uint64_t surfels = 0, chunks = 0, chunks_hidden = 0;
-  int tiles = 0;                            ///< parts the image was split into by the budget
+  int tiles = 0;                            ///< parts the image was split into, by its surfels or the budget
 };
 
 /// Writes a raster with the planes

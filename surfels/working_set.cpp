@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <queue>
 
 #include "surfels/frustum.h"
@@ -16,6 +17,10 @@ constexpr std::size_t kCullFrom = 24;
 constexpr double kRaysAcross = 384;
 
 double focal_px(const stream::Lens& lens) { return 0.5 * (lens.fx + lens.fy); }
+
+/// Mean distance of a chunk's surfels. Inner chunks say the edge of their voxels instead, and a surface turned at random meets 1.5 of them for each square
+/// of that edge.
+double spacing_of(const stream::ChunkEntry& entry) { return static_cast<double>(entry.spacing) * (entry.is_leaf() ? 1.0 : std::sqrt(1 / 1.5)); }
 
 /// A cut through what the frusta see: chunks whose surfels lie `spacing_px` apart at most, or leaves.
 struct Cut {
@@ -36,13 +41,38 @@ Cut cut_at(const stream::Store& store, const std::vector<Frustum>& frusta, doubl
       continue;
     }
     const double distance = std::max(distance_to_box(frusta[0].centre, box), 1e-9);
-    if (entry.is_leaf() || static_cast<double>(entry.spacing) * focal / distance <= spacing_px) {
+    if (entry.is_leaf() || spacing_of(entry) * focal / distance <= spacing_px) {
       cut.chunks.push_back(c);
       continue;
     }
     for (std::uint32_t i = 0; i < entry.num_children; ++i) stack.push_back(entry.first_child + i);
   }
   return cut;
+}
+
+/// Least depth along the view of what the cut may show.
+double nearest_depth(const stream::Store& store, const Cut& cut, const Frustum& frustum) {
+  const Vec3d forward = frustum.camera_from_world.row(2);
+  double nearest = std::numeric_limits<double>::infinity();
+  for (const std::uint32_t c : cut.chunks) {
+    const Box3d box = store.ray_bounds(c);
+    const Vec3d corner = (forward.array() > 0).select(box.min, box.max);
+    nearest = std::min(nearest, forward.dot(corner - frustum.centre));
+  }
+  return nearest;
+}
+
+/// By how many pixels what the picture shows at `nearest` or beyond appears shifted from the light, at most. Never more than a quarter of the picture: very
+/// near things would ask for everything.
+double light_shift_px(const View& view, const Frustum& frustum, const Vec3d& light, double nearest) {
+  const double most = 0.25 * view.rect.width();
+  const Vec3d l = frustum.camera_from_world * (light - frustum.centre);
+  if (frustum.inward.empty() || !(nearest > 0 && nearest > 2 * l.z())) return most;
+  // Slopes from the light of a point at slope s and depth z: (s z - x) / (z - l_z). It goes from s, far away, to one side only.
+  const auto shift = [&](double s, double x) { return std::abs((s * nearest - x) / (nearest - l.z()) - s); };
+  const double slope = std::max({shift(frustum.x0, l.x()), shift(frustum.x1, l.x()), shift(frustum.y0, l.y()), shift(frustum.y1, l.y())});
+  constexpr double kBentLens = 1.5;   // pixels of a lens are not everywhere equally many for a slope
+  return std::min(most, kBentLens * slope * std::max(view.lens.fx, view.lens.fy));
 }
 
 /// Chunks of the cut that something nearer covers are taken out: returns how many. What covers is found with a coarser cut, in a small part of the time that
@@ -65,8 +95,9 @@ std::uint64_t cull_hidden(const stream::Store& store, const std::vector<Frustum>
 
 WorkingSet select_visible(const stream::Store& store, const View& view, const CutOptions& options, MemoryBudget& budget, Reporter& report) {
   std::vector<Frustum> frusta{make_frustum(view, options.margin_px, view.pose.centre_in_world())};
-  // The flash sees the same surface from beside the camera: its cone is taken wider by a quarter of the picture.
-  for (const Vec3d& light : view.lights_in_world) frusta.push_back(make_frustum(view, options.margin_px + 0.25 * view.rect.width(), light));
+  // The flash sees the same surface from beside the camera: its cone is taken wider by what that makes.
+  const double nearest = view.lights_in_world.empty() ? 0 : nearest_depth(store, cut_at(store, frusta, focal_px(view.lens), options.pixel_error), frusta[0]);
+  for (const Vec3d& light : view.lights_in_world) frusta.push_back(make_frustum(view, options.margin_px + light_shift_px(view, frusta[0], light, nearest), light));
   Cut cut = cut_at(store, frusta, focal_px(view.lens), options.pixel_error);
   WorkingSet set;
   set.chunks_outside = cut.outside;

@@ -31,6 +31,7 @@ void declare(Args& args, Words& words) {
   args.option("--project", words.project, "write a folder for chiaro run: cloud, photographs, cameras, project.toml, truth/lights.json", "DIR");
   args.option("--photographs", words.options.photographs, "with --project: how many", "K", 1, 10000);
   args.option("--size", words.size, "of a photograph, pixels", "WxH");
+  args.option("--focal", words.options.focal, "focal length over the shorter side of a photograph; 0 = nearly all of the scene is in each", "F", 0.0, 100.0);
   args.option("--samples", words.options.samples, "S^2 rays a pixel, each with a path for ambient and bounced light", "S", 1, 16);
   args.option("--bounces", words.options.bounces, "of the light between surfaces", "B", 0, kMostBounces);
   args.option("--ambient", words.options.ambient_radiance, "radiance of the sky, W/(sr m^2)", "L", 0.0, 1e6);
@@ -55,7 +56,7 @@ void check(const Args& args, const Words& words) {
   if (words.points < 1 || words.points > std::uint64_t{1} << 40) throw UsageError(concat("--points ", words.points, ": expected 1 to ", std::uint64_t{1} << 40));
   if (words.project.empty() && words.file.empty()) throw UsageError("--out FILE is needed, or --project DIR");
   if (!words.project.empty()) return;
-  for (const char* flag : {"--photographs", "--size", "--samples", "--bounces", "--ambient", "--gloss", "--no-flash"})
+  for (const char* flag : {"--photographs", "--size", "--focal", "--samples", "--bounces", "--ambient", "--gloss", "--no-flash"})
     if (args.count(flag) > 0) throw UsageError(concat(flag, " needs --project DIR, where the photographs go"));
 }
 

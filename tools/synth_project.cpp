@@ -199,6 +199,7 @@ void SynthProjectOptions::validate() const {
   range("--photographs", photographs, 1, 10000);
   range("--size (width)", width_px, 16, 16384);
   range("--size (height)", height_px, 16, 16384);
+  range("--focal", focal, 0, 100);
   range("--samples", samples, 1, 16);
   range("--bounces", bounces, 0, kMostBounces);
   range("--ambient", ambient_radiance, 0, 1e6);
@@ -215,11 +216,12 @@ SynthLights synth_lights(SynthKind kind, const SynthProjectOptions& options) {
 
 std::vector<SynthView> synth_views(SynthKind kind, const SynthProjectOptions& options) {
   need_surface(kind);
+  const double focal = options.focal > 0 ? options.focal : kind == SynthKind::kRoom ? 0.9 : kind == SynthKind::kWall ? 1.2 : 1.45;
   const double shorter = std::min(options.width_px, options.height_px);
   SynthView view;
   view.lens.width_px = options.width_px;
   view.lens.height_px = options.height_px;
-  view.lens.fx = view.lens.fy = kind == SynthKind::kRoom ? 0.9 * shorter : kind == SynthKind::kWall ? 1.2 * shorter : 1.45 * shorter;
+  view.lens.fx = view.lens.fy = focal * shorter;
   view.lens.cx = options.width_px / 2.0;
   view.lens.cy = options.height_px / 2.0;
   view.flash_in_camera = kFlashInCamera;

@@ -14,6 +14,7 @@ namespace chiaro::tools {
 struct SynthProjectOptions {
   int photographs = 20;
   int width_px = 640, height_px = 480;
+  double focal = 0;                 ///< focal length over the shorter side of a photograph; 0: what shows nearly all of the scene
   int samples = 4;                  ///< samples^2 rays and paths a pixel
   int bounces = 11;
   double ambient_radiance = 0.15;   ///< W/(sr m^2); 0 in a closed scene, whatever stands here

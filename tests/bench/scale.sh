@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Makes synthetic projects of growing size and runs each within a memory budget; prints one table: time, largest resident set (as the kernel counted it) and
-# error against the known albedo.
+# Makes synthetic projects of growing size and runs each within a memory budget; prints one table: time of each stage, largest resident set (as the kernel
+# counted it) and error against the known albedo.
 #   usage: bash tests/bench/scale.sh [POINTS…]        default: 1000000 10000000
-# Environment: CHIARO (executable), MEMORY (512MiB), PHOTOGRAPHS (20), SPEC (statue:noise=0.0003,normals=false), OUT (folder for scratch data, scale.out), KEEP=1.
-# Needs python3. Disk: about 200 bytes a point and a gigabyte for the photographs' rasters, one size at a time.
+# Environment: CHIARO (executable), MEMORY (512MiB), PHOTOGRAPHS (20), SPEC (statue:noise=0.0003,normals=false), SYNTH_OPTIONS (more words for chiaro synth), OUT
+# (folder for scratch data, scale.out), KEEP=1. Needs python3. Disk: about 200 bytes a point and a gigabyte for the photographs' rasters, one size at a time.
 set -euo pipefail
 root=$(cd "$(dirname "$0")/../.." && pwd)
 chiaro=${CHIARO:-$root/build/release/chiaro}
@@ -36,22 +36,23 @@ PY
 }
 
 echo "$spec, $photographs photographs, --memory $memory, $("$chiaro" --version), $(nproc) cores"
-printf '%12s %9s %9s %9s %10s %10s %10s %10s %10s\n' points synth_s ingest_s total_s peak_MiB synth_MiB seen err_mean err_median
+printf '%12s %9s %9s %9s %9s %9s %9s %9s %9s %9s %9s %10s %11s %9s %9s\n' points synth_s ingest_s raycast_s gather_s light_s albedo_s blend_s export_s total_s peak_MiB seen readings err_mean err_median
 for points in "$@"; do
   folder=$out/$points
-  measure synth "$chiaro" synth "$spec" --points "$points" --project "$folder" --photographs "$photographs" --albedo --quiet
-  synth_seconds=$seconds synth_peak=$peak
+  measure synth "$chiaro" synth "$spec" --points "$points" --project "$folder" --photographs "$photographs" --albedo --quiet ${SYNTH_OPTIONS:-}
+  synth_seconds=$seconds
   measure run "$chiaro" run "$folder/project.toml" --out "$folder/out" --memory "$memory" --quiet
   run_seconds=$seconds run_peak=$peak
   measure compare "$chiaro" compare "$folder/out/albedo.ply" "$folder/cloud.ply" --json
-  python3 - "$points" "$synth_seconds" "$synth_peak" "$run_seconds" "$run_peak" "$folder/out/run.json" "$out/compare.out" <<'PY'
+  python3 - "$points" "$synth_seconds" "$run_seconds" "$run_peak" "$folder/out/run.json" "$out/compare.out" <<'PY'
 import json, sys
-points, synth_s, synth_kib, run_s, run_kib, record, compared = sys.argv[1:]
+points, synth_s, run_s, run_kib, record, compared = sys.argv[1:]
 record = json.load(open(record))
-ingest = sum(s["seconds"] for s in record["stages"] if s["name"] == "ingest")
+seconds = lambda stage: sum(s["seconds"] for s in record["stages"] if s["name"].split("/")[0] == stage)
+stages = [seconds(s) for s in ("ingest", "raycast", "gather", "light", "albedo", "blend", "export")]
 result = [json.loads(line) for line in open(compared) if line.startswith("{")][-1]
-print(f"{int(points):12d} {float(synth_s):9.1f} {ingest:9.1f} {float(run_s):9.1f} {int(run_kib) / 1024:10.1f} {int(synth_kib) / 1024:10.1f} {result['compared']:10d} "
-      f"{result['relative']['mean']:10.4f} {result['relative']['median']:10.4f}")
+print(f"{int(points):12d} {float(synth_s):9.1f} " + " ".join(f"{s:9.1f}" for s in stages) +
+      f" {float(run_s):9.1f} {int(run_kib) / 1024:9.1f} {result['compared']:10d} {record['counts']['samples']:11d} {result['relative']['mean']:9.4f} {result['relative']['median']:9.4f}")
 PY
   [ -n "${KEEP:-}" ] || rm -rf "$folder"
 done

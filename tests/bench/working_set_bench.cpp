@@ -1,9 +1,10 @@
 // What one photograph needs of a large store, and how soon its first pixel is there.
 //
-//   working_set_bench STORE.chiaro [--size 4000x3000] [--field 50] [--distances 0.05,0.2,1,3] [--memory 4GiB] [--cold] [--check 100000]
+//   working_set_bench STORE.chiaro [--size 4000x3000] [--rows 3000] [--field 50] [--pixel-error 1] [--distances 0.05,0.2,1,3] [--memory 4GiB] [--cold] [--check 100000]
 //
 // Cameras look at the surface from outside, along the line from the centre of the bounds to its leaf in the middle of the Morton order: once for each distance
-// from the surface, in units of half the diagonal of the bounds; --field is the width of the picture, degrees. A light stands beside the camera as a flash does. Share:
+// from the surface, in units of half the diagonal of the bounds; --field is the width of the picture, degrees; --pixel-error how far apart surfels may be, pixels; --rows looks at that many rows in the middle of
+// the picture alone, as rays are cast where the budget does not hold the whole (surfels/gbuffer.h). A light stands beside the camera as a flash does. Share:
 // of all chunks of the store, with inner ones. First pixel: from opening the store to the answer for the pixel in the middle. --cold: pages of the store are
 // dropped first, without it they are read once before. --check: that many pixels, and the ways from there to the light, are also traced through everything in view,
 // hidden or not; those that differ are counted.
@@ -30,8 +31,8 @@ using Clock = std::chrono::steady_clock;
 
 struct Options {
   fs::path store;
-  int width = 4000, height = 3000;
-  double field_deg = 50;
+  int width = 4000, height = 3000, rows = 0;   ///< rows: 0 = all
+  double field_deg = 50, pixel_error = 1;
   std::vector<double> distances{0.05, 0.2, 1, 3};
   std::uint64_t memory = std::uint64_t{4} << 30;
   bool cold = false;
@@ -52,7 +53,8 @@ surfels::View view_of(const Options& o, const stream::Manifest& m, const Vec3d& 
   const Vec3d eye = target - distance * forward;
   v.pose.rotation_camera_from_world << right.transpose(), down.transpose(), forward.transpose();
   v.pose.translation_camera_from_world = -v.pose.rotation_camera_from_world * eye;
-  v.rect = {0, 0, o.width, o.height};
+  const int rows = o.rows > 0 ? std::min(o.rows, o.height) : o.height, first = (o.height - rows) / 2;
+  v.rect = {0, first, o.width, first + rows};
   v.lights_in_world.push_back(v.pose.world_from_camera({0.02 * distance, -0.02 * distance, 0}));
   return v;
 }
@@ -67,17 +69,18 @@ void touch(const fs::path& folder, bool drop) {
   }
 }
 
-/// Pixels, of `count` spread over the picture, for which leaving out what is hidden changes the answer.
-int differences(const stream::Store& store, const surfels::View& view, const surfels::Tracer& seen, int count, MemoryBudget& budget) {
+/// Pixels, of `check` spread over the picture, for which leaving out what is hidden changes the answer.
+int differences(const stream::Store& store, const surfels::View& view, const surfels::Tracer& seen, const Options& o, MemoryBudget& budget) {
   surfels::CutOptions cut;
+  cut.pixel_error = o.pixel_error;
   cut.cull_hidden = false;
   surfels::Tracer all(view.pose.centre_in_world(), budget);
   for (const std::uint32_t c : surfels::select_visible(store, view, cut, budget, silent_reporter()).chunks) all.add(store.read_chunk(c));
   all.commit();
   const Vec3f flash = all.scene_from_world(view.lights_in_world[0]);
   int differ = 0;
-  for (int i = 0; i < count; ++i) {
-    const Vec2d at(view.rect.width() * std::fmod(i * 0.7548776662466927, 1.0), view.rect.height() * std::fmod(i * 0.5698402909980532, 1.0));   // R2 sequence
+  for (int i = 0; i < o.check; ++i) {
+    const Vec2d at(view.rect.width() * std::fmod(i * 0.7548776662466927, 1.0), view.rect.y0 + view.rect.height() * std::fmod(i * 0.5698402909980532, 1.0));   // R2 sequence
     const Vec3f d = (view.pose.rotation_camera_from_world.transpose() * *stream::unproject(view.lens, at)).normalized().cast<float>();
     surfels::Hit a, b;
     const bool met = all.closest({Vec3f::Zero(), d, 0, 1e30f}, a);
@@ -102,6 +105,7 @@ void measure(const Options& o, double share) {
   const surfels::View view = view_of(o, m, 0.5 * (middle.min + middle.max), share * 0.5 * (m.bounds.max - m.bounds.min).norm());
   const double opened = seconds_since(start);
   surfels::CutOptions cut;
+  cut.pixel_error = o.pixel_error;
   const surfels::WorkingSet set = surfels::select_visible(store, view, cut, budget, silent_reporter());
   const double selected = seconds_since(start);
   surfels::Tracer tracer(view.pose.centre_in_world(), budget);
@@ -113,7 +117,7 @@ void measure(const Options& o, double share) {
   std::printf("| %.2f | %zu | %zu | %.2f %% | %.2f M | %llu | %.0f MiB | %.3f s | %.3f s | %.3f s | %s |", share, store.chunks().size(), set.chunks.size(),
               100 * static_cast<double>(set.chunks.size()) / static_cast<double>(store.chunks().size()), 1e-6 * static_cast<double>(set.surfels),
               static_cast<unsigned long long>(set.chunks_hidden), static_cast<double>(tracer.bytes()) / 1048576, opened, selected - opened, first, met ? "yes" : "no");
-  if (o.check > 0) std::printf(" %d of %d |", differences(store, view, tracer, o.check, budget), o.check);
+  if (o.check > 0) std::printf(" %d of %d |", differences(store, view, tracer, o, budget), o.check);
   std::printf("\n");
   std::fflush(stdout);
 }
@@ -128,6 +132,8 @@ Options parse(int count, char** words) {
     else if (word == "--size") {
       if (std::sscanf(words[++i], "%dx%d", &o.width, &o.height) != 2 || o.width < 1 || o.height < 1) throw Error("--size is WIDTHxHEIGHT");
     } else if (word == "--field") o.field_deg = std::stod(words[++i]);
+    else if (word == "--rows") o.rows = std::stoi(words[++i]);
+    else if (word == "--pixel-error") o.pixel_error = std::stod(words[++i]);
     else if (word == "--check") o.check = std::stoi(words[++i]);
     else if (word == "--memory") o.memory = parse_bytes(words[++i]);
     else if (word == "--distances") {

@@ -71,6 +71,13 @@ TEST_F(GBuffer, IsTheSameForAnyThreadsAndTiles) {
   MemoryBudget small(cut.bytes);   // a fifth of it is kept free: the whole picture does not fit
   const GBufferStats parts = write_gbuffer(store, camera, options, folder.path() / "tiles.raster", small, silent_reporter());
   EXPECT_GT(parts.tiles, 1);
+  options.tile_bytes = cut.bytes / 3;
+  const GBufferStats by_size = write_gbuffer(store, camera, options, folder.path() / "by_size.raster", budget, silent_reporter());
+  EXPECT_EQ(by_size.tiles, 3);
+  options.tile_bytes = 0;   // no less than a band of rows at a time
+  EXPECT_EQ(write_gbuffer(store, camera, options, folder.path() / "bands.raster", budget, silent_reporter()).tiles, 3);
+  EXPECT_EQ(read_text(folder.path() / "one.raster"), read_text(folder.path() / "by_size.raster"));
+  EXPECT_EQ(read_text(folder.path() / "one.raster"), read_text(folder.path() / "bands.raster"));
   EXPECT_EQ(read_text(folder.path() / "one.raster"), read_text(folder.path() / "two.raster"));
   EXPECT_EQ(read_text(folder.path() / "one.raster"), read_text(folder.path() / "tiles.raster"));
 }

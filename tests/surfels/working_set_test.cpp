@@ -92,6 +92,80 @@ TEST(WorkingSet, LosesNothingThatAPixelOrTheFlashMeets) {
   EXPECT_GT(hidden, 300u);   // of some 260 a view
 }
 
+// The flash's cone is no wider than what the nearest surface in view makes of its place.
+TEST(WorkingSet, ABandOfRowsKeepsWhatCastsShadowsIntoIt) {
+  const ScratchFolder folder;
+  const stream::Store store = walls(folder.path());
+  std::size_t of_band = 0, of_all = 0;
+  int dark = 0;
+  for (const Vec3d& eye : {Vec3d(0.3, 0.2, 2), Vec3d(-0.9, -0.4, 1.2), Vec3d(0.5, 0.1, 0.6)}) {
+    const View whole = view_to(eye, {0.1, 0, 0}, 400, 300, 500);
+    View band = whole;
+    band.rect = {0, 130, 400, 160};
+    MemoryBudget budget(kRoom);
+    CutOptions options;
+    const WorkingSet some = select_visible(store, band, options, budget, silent_reporter());
+    options.cull_hidden = false;
+    options.margin_px = 200;
+    const WorkingSet all = select_visible(store, whole, options, budget, silent_reporter());
+    of_band += some.chunks.size();
+    of_all += all.chunks.size();
+    const Tracer of_some = trace(store, some.chunks, budget, eye), of_whole = trace(store, all.chunks, budget, eye);
+    const Vec3f flash = of_whole.scene_from_world(whole.lights_in_world[0]);
+    for (int y = 130; y < 160; ++y)
+      for (int x = 0; x < 400; ++x) {
+        const Vec3f d = (whole.pose.rotation_camera_from_world.transpose() * *stream::unproject(whole.lens, {x + 0.5, y + 0.5})).normalized().cast<float>();
+        Hit a, b;
+        ASSERT_EQ(of_whole.closest({Vec3f::Zero(), d, 0, 1e30f}, a), of_some.closest({Vec3f::Zero(), d, 0, 1e30f}, b));
+        if (!(a.t > 0)) continue;
+        ASSERT_EQ(a.surfel, b.surfel);
+        const Vec3f to_flash = flash - d * a.t;
+        const Ray back = escape_ray(d * a.t, a.normal, a.radius, to_flash.normalized(), to_flash.norm());
+        ASSERT_EQ(of_whole.occluded(back), of_some.occluded(back)) << x << ' ' << y;
+        dark += of_whole.occluded(back);
+      }
+  }
+  EXPECT_GT(dark, 100);
+  EXPECT_LT(2 * of_band, of_all);
+}
+
+// Distances are those of the surfels that are there: what is taken lies a pixel apart at most, and what it came from lay further apart.
+TEST(WorkingSet, TakesTheCoarsestLevelWhoseSurfelsLieAPixelApart) {
+  const ScratchFolder folder;
+  constexpr std::size_t kPoints = 200000;
+  const stream::Store store = tests::build_test_store(tests::sphere_points(kPoints, 1, {0, 0, 0}, false), folder.path(), 1024);
+  const double area = 4 * 3.14159265358979 / kPoints;   // of one point
+  std::vector<double> points_below(store.chunks().size());
+  for (std::size_t c = store.chunks().size(); c-- > 0;) {
+    const stream::ChunkEntry& e = store.chunks()[c];
+    if (e.is_leaf()) points_below[c] = e.count;
+    if (c > 0) points_below[e.parent] += points_below[c];
+  }
+  CutOptions options;
+  options.cull_hidden = false;
+  double inner = 0, of_limit = 0, coarser = 0;
+  for (double distance = 2; distance < 40; distance *= 1.1) {
+    const View view = view_to({distance, 0.1, 0.2}, {0, 0, 0}, 400, 300, 500);
+    MemoryBudget budget(kRoom);
+    const auto pixels_apart = [&](std::uint32_t c) {
+      return std::sqrt(points_below[c] * area / store.chunks()[c].count) * 500 / distance_to_box(view.pose.centre_in_world(), store.ray_bounds(c));
+    };
+    for (const std::uint32_t c : select_visible(store, view, options, budget, silent_reporter()).chunks) {
+      if (c == 0 || points_below[c] < 500) continue;   // corners of cells: too few to tell
+      if (!store.chunks()[c].is_leaf()) {
+        EXPECT_LT(pixels_apart(c), 1.15) << "chunk " << c << " from " << distance;
+        inner += 1;
+        of_limit = std::max(of_limit, pixels_apart(c));
+      }
+      EXPECT_GT(pixels_apart(store.chunks()[c].parent), 0.85) << "above chunk " << c << " from " << distance;
+      coarser += 1;
+    }
+  }
+  EXPECT_GT(inner, 100);
+  EXPECT_GT(coarser, 100);
+  EXPECT_GT(of_limit, 0.9);
+}
+
 TEST(WorkingSet, IsTheSameForAnyThreadsAndBatches) {
   const ScratchFolder folder;
   const stream::Store store = walls(folder.path());

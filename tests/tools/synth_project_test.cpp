@@ -338,6 +338,18 @@ TEST_F(SynthProject, CamerasOfAMovedAndScaledSceneSeeTheSamePicture) {
   EXPECT_EQ(read_text(at("still/photos/photo_01.exr")), read_text(at("moved/photos/photo_01.exr")));
 }
 
+TEST_F(SynthProject, ALongerLensSeesLessOfTheSameScene) {
+  SynthProjectOptions near = small();
+  near.focal = 4;
+  const std::vector<SynthView> wide = synth_views(SynthKind::kStatue, small()), narrow = synth_views(SynthKind::kStatue, near);
+  for (std::size_t k = 0; k < wide.size(); ++k) {
+    EXPECT_EQ(narrow[k].lens.fx, 4 * 36);   // the shorter side
+    EXPECT_EQ(narrow[k].pose.translation_camera_from_world, wide[k].pose.translation_camera_from_world);
+  }
+  write("statue", "narrow", near);
+  EXPECT_THAT(read_text(at("narrow/sparse/cameras.txt")), testing::HasSubstr("48 36 144 144"));
+}
+
 TEST_F(SynthProject, LeavesWhatIsThereAlone) {
   make_folder(at("mine"));
   write_text(at("mine/letter.txt"), "dear");
@@ -365,6 +377,7 @@ TEST(SynthCommand, TakesPhotographsOfScenesThatHaveASurface) {
     EXPECT_THROW(run({"sphere", "--project", folder, "--size", size}), UsageError) << size;
   EXPECT_THROW(run({"sphere", "--project", folder, "--photographs", "0"}), UsageError);
   EXPECT_THROW(run({"sphere", "--project", folder, "--samples", "17"}), UsageError);
+  EXPECT_THROW(run({"sphere", "--project", folder, "--focal", "101"}), UsageError);
   EXPECT_THROW(run({"sphere", "--project", folder, "--bounces", "61"}), UsageError);
   EXPECT_THROW(run({"sphere", "--project", folder, "--ambient", "-1"}), UsageError);
   EXPECT_THROW(run({"sphere", "--project", folder, "--out", "../cloud.ply"}), UsageError);
