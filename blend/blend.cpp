@@ -4,7 +4,6 @@
 #include <atomic>
 #include <cmath>
 #include <cstring>
-#include <mutex>
 #include <optional>
 #include <stdexcept>
 
@@ -17,6 +16,7 @@
 #include "blend/leaf_file.h"
 #include "blend/photo_walk.h"
 #include "blend/sample.h"
+#include "blend/second_look.h"
 #include "blend/write_leaf.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
@@ -81,10 +81,6 @@ class Blender {
       for (const double gain : options_.known->gain[i]) hash.add(gain);
       for (const float v : {a.shift_px.x(), a.shift_px.y(), a.trust}) hash.add(static_cast<double>(v));
     }
-  }
-
-  SurfelReader reader_of(const PhotoWalk::View& view, std::uint32_t photograph, const Vec2f& shift_px) const {
-    return {photographs_[photograph]->camera, *view.window, shift_px, view.y0, view.y1};
   }
 
   std::uint32_t middle_bands() const { return static_cast<std::uint32_t>(options_.bands - 2); }
@@ -154,7 +150,7 @@ class Blender {
 
   void vote_in_leaf(const PhotoWalk::Visit& v) {
     std::vector<SurfelReader> readers;
-    for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, order_[view.photograph], Vec2f::Zero()));
+    for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, photographs_[order_[view.photograph]]->camera, Vec2f::Zero()));
     auto record = votes_->read<Ballot>(v.leaf);
     bool any = false;
     for_readings(store_.read_chunk(store_.leaves()[v.leaf]), readers, [&](std::uint32_t slot, std::size_t i, const Sample& sample) {
@@ -275,85 +271,16 @@ class Blender {
         unknown.push_back(k);
       }
     }
-    const std::vector<Inspection> found = inspect(unknown, Vec2f::Zero());
-    for (std::size_t i = 0; i < unknown.size(); ++i) {
-      inspections_[unknown[i]] = found[i];
-      if (options_.align) align(unknown[i]);
+    const SecondLook look{store_, photographs_, *votes_, walk_, agreement_, tolerance_, scale_.brightness, report_};
+    constexpr std::size_t kAtOnce = 128;   // 40 KB of counts each: memory does not grow with the photographs
+    for (std::size_t first = 0; first < unknown.size(); first += kAtOnce) {
+      const std::span<const std::uint32_t> some = std::span(unknown).subspan(first, std::min(kAtOnce, unknown.size() - first));
+      const std::vector<Inspection> found = look.inspect(some, Vec2f::Zero());
+      for (std::size_t i = 0; i < some.size(); ++i) inspections_[some[i]] = found[i];
     }
+    if (options_.align)
+      for (const std::uint32_t k : unknown) alignments_[k] = look.align(k, inspections_[k]);
     report_.end();
-  }
-
-  /// A photograph that is read in the wrong place is judged and correlated wrongly too: once more from where it seems to be.
-  void align(std::uint32_t k) {
-    constexpr int kMostRounds = 3;
-    alignments_[k] = alignment_for(inspections_[k]);
-    for (int round = 0; round < kMostRounds && alignments_[k].shift_px != Vec2f::Zero(); ++round) {
-      const Vec2f before = alignments_[k].shift_px;
-      const Inspection again = inspect(std::span(&k, 1), before).front();
-      if (!again.shift_px) break;
-      inspections_[k] = again;
-      alignments_[k] = alignment_for(again);
-      if ((alignments_[k].shift_px - before).norm() < 0.05f) break;
-    }
-  }
-
-  /// shift_px: where the photographs are read; the shifts found are whole ones.
-  std::vector<Inspection> inspect(std::span<const std::uint32_t> photographs, const Vec2f& shift_px) {
-    std::vector<InspectionCounts> counts;
-    std::vector<std::size_t> place(num_photographs());
-    for (const std::uint32_t k : photographs) {
-      place[k] = counts.size();
-      counts.emplace_back(photographs_[k]->camera.lens.width_px, photographs_[k]->camera.lens.height_px);
-    }
-    std::mutex mutex;
-    const int margin = kInspectMargin + static_cast<int>(std::ceil(std::abs(shift_px.y())));
-    walk_.look(photographs, margin, sizeof(Ballot), [&](const PhotoWalk::Visit& v) {
-      if (!votes_->is_written(v.leaf)) return;
-      std::vector<InspectionCounts> own;
-      for (const PhotoWalk::View& view : v.views) own.emplace_back(counts[place[view.photograph]].width, counts[place[view.photograph]].height);
-      inspect_leaf(v, shift_px, own);
-      const std::lock_guard lock(mutex);   // whole numbers: the order does not matter
-      for (std::size_t i = 0; i < own.size(); ++i) counts[place[v.views[i].photograph]].merge(own[i]);
-    }, [&](std::size_t taken) { if (photographs.size() > 1) report_.progress(photographs[taken - 1] + 1); });
-    std::vector<Inspection> results;
-    for (const InspectionCounts& c : counts) {
-      results.push_back(conclude(c));
-      if (results.back().shift_px) *results.back().shift_px += shift_px;
-    }
-    return results;
-  }
-
-  /// Of surfels enough of them. A majority does not depend on who is inspected: it is found once for all.
-  void inspect_leaf(const PhotoWalk::Visit& v, const Vec2f& shift_px, std::vector<InspectionCounts>& counts) const {
-    constexpr std::uint64_t kMostSurfels = 1 << 17;
-    std::vector<SurfelReader> readers;
-    std::vector<std::uint32_t> step;
-    for (const PhotoWalk::View& view : v.views) {
-      readers.push_back(reader_of(view, view.photograph, shift_px));
-      step.push_back(1 + static_cast<std::uint32_t>(view.surfels_in_view / kMostSurfels));
-    }
-    const stream::Chunk chunk = store_.read_chunk(store_.leaves()[v.leaf]);
-    const auto ballots = votes_->read<Ballot>(v.leaf);
-    for (std::uint32_t slot = 0; slot < chunk.count; ++slot) {
-      std::optional<stream::Surfel> surfel;
-      std::optional<Majority> majority;
-      for (std::size_t i = 0; i < readers.size(); ++i) {
-        if (slot % step[i] != static_cast<std::uint32_t>(v.leaf) % step[i]) continue;
-        if (!surfel) {
-          majority = majority_of(ballots.surfels[slot], agreement_.log_gain, tolerance_);
-          if (!majority) break;
-          surfel = chunk.surfel(slot);
-        }
-        const auto pixel = readers[i].project(*surfel);
-        if (!pixel) continue;
-        const auto sample = readers[i].read(*surfel, *pixel);
-        if (!sample) continue;
-        const std::uint32_t k = v.views[i].photograph;
-        const Vec3f gain = agreement_.log_gain[k].array().exp();
-        inspect_reading(ballots.surfels[slot], *majority, static_cast<std::uint16_t>(k), log_value(sample->low.cwiseProduct(gain), scale_.brightness), tolerance_,
-                        *pixel + shift_px.cast<double>(), *v.views[i].window, counts[i]);
-      }
-    }
   }
 
   /// Rows of a window beside those of the surfels, so that shifted readings find their pixels.
@@ -365,7 +292,7 @@ class Blender {
 
   void add_to_leaf(const PhotoWalk::Visit& v) {
     std::vector<SurfelReader> readers;
-    for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, view.photograph, alignments_[view.photograph].shift_px));
+    for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, photographs_[view.photograph]->camera, alignments_[view.photograph].shift_px));
     auto record = sums_->read<Accumulator>(v.leaf);
     const auto ballots = votes_ && options_.reject ? votes_->read<Ballot>(v.leaf) : LeafRecord<Ballot>{};
     std::uint32_t judged = 0xffffffffu;   // the surfel that `majority` is of

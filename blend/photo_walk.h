@@ -83,4 +83,7 @@ class PhotoWalk {
   std::vector<bool> read_;
 };
 
+/// A photograph as a walk holds it, read `shift_px` beside where its camera says.
+inline SurfelReader reader_of(const PhotoWalk::View& view, const stream::Camera& camera, const Vec2f& shift_px) { return {camera, *view.window, shift_px, view.y0, view.y1}; }
+
 }  // namespace chiaro::blend
