@@ -40,7 +40,7 @@ points_row() {   # points_row TITLE FOLDER
 }
 view_row() {   # view_row NAME
   local found
-  found=$("$chiaro" compare "$out/novel/$1.exr" "$scene/novel/$1.exr" --mask "$scene/masks/$1.png" --json)
+  found=$("$chiaro" compare "$out/novel/$1.exr" "$scene/novel/$1.exr" --mask "$scene/masks/$1.png" --clip --json)
   printf '  %-34s PSNR %.1f dB, SSIM %.3f\n' "$1" "$(number psnr <<<"$found")" "$(number ssim <<<"$found")"
 }
 count() { sed -n "s/.*\"$1\": *\([0-9]*\).*/\1/p" "$out/tower/run.json" | tail -n 1; }
