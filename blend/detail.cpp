@@ -36,7 +36,7 @@ LeafFile collect_detail(const stream::Store& store, std::span<const BlendPhotogr
   PhotoWalk walk(store, ordered, windows, budget, report);
   walk.into(file, "refine: look for detail", 1 + static_cast<int>(std::ceil(farthest)), sizeof(Detail), [&](const PhotoWalk::Visit& v) {
     std::vector<SurfelReader> readers;
-    for (const PhotoWalk::View& view : v.views) readers.emplace_back(ordered[view.photograph]->camera, *view.window, alignment[view.photograph].shift_px, view.y0, view.y1);
+    for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, ordered[view.photograph]->camera, alignment[view.photograph].shift_px));
     auto record = file.read<Detail>(v.leaf);
     bool changed = false;
     for_readings(store.read_chunk(store.leaves()[v.leaf]), readers, [&](std::uint32_t slot, std::size_t i, const Sample& s) {

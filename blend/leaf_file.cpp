@@ -35,6 +35,10 @@ std::uint64_t up_to_page(std::uint64_t bytes) { return (bytes + kPage - 1) / kPa
 std::uint32_t crc_of(const SlotHeader& h) { return crc32c(&h, offsetof(SlotHeader, header_crc)) ^ 0x5a5a5a5au; }   // zeros are no header
 std::uint32_t crc_of(const DoneRecord& d) { return crc32c(&d, offsetof(DoneRecord, crc)) ^ 0x5a5a5a5au; }
 
+std::uint64_t payload_bytes(const LeafShape& shape, std::size_t leaf) {
+  return std::uint64_t{shape.counters} * sizeof(std::uint32_t) + std::uint64_t{shape.surfels_of_leaf[leaf]} * (shape.record_bytes + shape.more * sizeof(FourFloats));
+}
+
 }  // namespace
 
 struct LeafFile::Impl {
@@ -99,10 +103,7 @@ struct LeafFile::Impl {
     }
   }
 
-  std::uint64_t payload_bytes(std::size_t leaf) const {
-    return std::uint64_t{shape.counters} * sizeof(std::uint32_t) + std::uint64_t{shape.surfels_of_leaf[leaf]} * (shape.record_bytes + shape.more * sizeof(FourFloats));
-  }
-  std::uint64_t slot_bytes(std::size_t leaf) const { return up_to_page(sizeof(SlotHeader) + payload_bytes(leaf)); }
+  std::uint64_t slot_bytes(std::size_t leaf) const { return disk_bytes(shape, leaf); }
   std::uint64_t slot_offset(std::size_t leaf, int slot) const { return offsets[leaf] + (slot > 0 ? slot_bytes(leaf) : 0); }
 
   void start(const std::filesystem::path& path) {
@@ -145,7 +146,7 @@ struct LeafFile::Impl {
     spare += slot_bytes(leaf);
   }
   bool payload_fits(std::size_t leaf, int slot, const SlotHeader& h) const {
-    std::vector<std::byte> payload(payload_bytes(leaf));
+    std::vector<std::byte> payload(payload_bytes(shape, leaf));
     return file.read_some_at(slot_offset(leaf, slot) + sizeof h, payload.data(), payload.size()) == payload.size() && crc32c(payload) == h.payload_crc;
   }
 };
@@ -165,8 +166,7 @@ std::optional<LeafFile> LeafFile::existing(const std::filesystem::path& path, co
 }
 
 std::uint64_t LeafFile::disk_bytes(const LeafShape& shape, std::size_t leaf) {
-  return up_to_page(sizeof(SlotHeader) + std::uint64_t{shape.counters} * sizeof(std::uint32_t) +
-                    std::uint64_t{shape.surfels_of_leaf[leaf]} * (shape.record_bytes + shape.more * sizeof(FourFloats)));
+  return up_to_page(sizeof(SlotHeader) + payload_bytes(shape, leaf));
 }
 
 /// Syncing costs more than room: as much as all of it where that is little.

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <vector>
 
+#include "optimize/light_residuals.h"
+
 namespace chiaro::optimize {
 namespace {
 
@@ -11,7 +13,6 @@ constexpr int kUnknowns = 6;   // shift x, y, z; ln flash; ln ambient; bounce
 using Vec = Eigen::Matrix<double, kUnknowns, 1>;
 using Mat = Eigen::Matrix<double, kUnknowns, kUnknowns>;
 constexpr int kRounds = 8;
-constexpr double kCauchy = 2.385;
 
 struct Row {
   double residual = 0, weight = 0;

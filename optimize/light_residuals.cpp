@@ -60,14 +60,9 @@ void fit_coated(const Lights& x, std::span<const LightSample> samples, int c, co
   for (std::size_t k = 0; k < terms.size(); ++k) d.j[k] += (1 - terms[k].body) * d.mean_j;
 }
 
-double median(std::vector<double>& v) {
-  if (v.empty()) return 0;
-  const auto mid = v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2);
-  std::nth_element(v.begin(), mid, v.end());
-  return *mid;
-}
-
 }  // namespace
+
+LightLayout layout_of(const LightSolveOptions& options) { return {options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss}; }
 
 std::vector<SampleGroup> groups_of(std::span<const LightSample> samples) {
   std::vector<SampleGroup> groups;
@@ -78,6 +73,12 @@ std::vector<SampleGroup> groups_of(std::span<const LightSample> samples) {
     i = e;
   }
   return groups;
+}
+
+double residuals_of(std::span<const SampleGroup> groups) {
+  double residuals = 0;
+  for (const SampleGroup& g : groups) residuals += 3.0 * static_cast<double>(g.end - g.begin - 1);
+  return residuals;
 }
 
 LightVector light_derivative(const Lights& x, const LightSample& s, int c, const LightLayout& layout, double h, double albedo) {
@@ -153,7 +154,21 @@ std::pair<double, double> robust_scale(const Lights& x, std::span<const LightSam
         plain.push_back(e);
       }
     }
-  return {1.4826 * median(weighted), 1.4826 * median(plain)};
+  return {1.4826 * upper_median(std::move(weighted)), 1.4826 * upper_median(std::move(plain))};
+}
+
+double cauchy_scale(const Lights& lights, std::span<const LightSample> samples, std::span<const SampleGroup> groups, const LightLayout& layout) {
+  constexpr double kLeast = 0.1;
+  return kCauchy * std::max(robust_scale(lights, samples, groups, layout).first, kLeast);
+}
+
+double dispersion_of(double scale) { return std::max(1.0, scale * scale / (kCauchy * kCauchy)); }
+
+double upper_median(std::vector<double> v) {
+  if (v.empty()) return 0;
+  const auto mid = v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2);
+  std::nth_element(v.begin(), mid, v.end());
+  return *mid;
 }
 
 }  // namespace chiaro::optimize

@@ -26,12 +26,16 @@ struct LightLayout {
   int size() const { return bounce() + 1; }
 };
 
+LightLayout layout_of(const LightSolveOptions& options);
+
 /// Samples [begin, end) that share their albedo.
 struct SampleGroup {
   std::size_t begin, end;
 };
 /// Groups of two samples or more.
 std::vector<SampleGroup> groups_of(std::span<const LightSample> samples);
+/// Of all channels, albedos eliminated.
+double residuals_of(std::span<const SampleGroup> groups);
 
 /// Of ln(B/H) by the parameters, where H is h; with a coat, of ln(B / (albedo H + mirrored)).
 LightVector light_derivative(const Lights& lights, const LightSample& sample, int c, const LightLayout& layout, double h, double albedo);
@@ -51,5 +55,14 @@ bool deviations(const Lights& lights, const Lights& weigh, std::span<const Light
 
 /// Robust scale of the weighted deviations, and of the plain ones.
 std::pair<double, double> robust_scale(const Lights& lights, std::span<const LightSample> samples, std::span<const SampleGroup> groups, const LightLayout& layout);
+
+inline constexpr double kCauchy = 2.385;   ///< robust scales: 95 % efficiency for normal residuals (Holland & Welsch 1977)
+/// Of Cauchy's weights, for the weighted deviations.
+double cauchy_scale(const Lights& lights, std::span<const LightSample> samples, std::span<const SampleGroup> groups, const LightLayout& layout);
+/// By how much residuals exceed what their weights expect; squared deviations, at least 1. The excess is the model's: the samples say that much less, and as much fewer of them are independent.
+double dispersion_of(double cauchy_scale);
+
+/// The upper one of an even number; 0 of none.
+double upper_median(std::vector<double> values);
 
 }  // namespace chiaro::optimize

@@ -21,7 +21,6 @@ constexpr double kGuessSd = 0.35;                    ///< relative, of an ambien
 constexpr double kReflectance = 0.04, kReflectanceSd = 0.2, kMostReflectance = 0.08;   ///< sd of its logarithm: clear coats have an index of 1.4 to 1.6
 constexpr double kRoughness = 0.25, kRoughnessSd = 0.5, kSmoothest = 0.08, kRoughest = 0.6;   ///< sd of its logarithm
 constexpr double kWhiteSd = 0.1;                     ///< of ln albedo above 1
-constexpr double kCauchy = 2.385;                    ///< 95 % efficiency for normal residuals (Holland & Welsch 1977)
 constexpr std::size_t kGroupGrain = 256;
 
 struct Normal {
@@ -181,12 +180,6 @@ Lights stepped(const Lights& x, const LightVector& step, const LightLayout& layo
 /// The matrix of which only the lower triangle was summed.
 Eigen::MatrixXd whole(const LightMatrix& lower, int p) { return lower.topLeftCorner(p, p).selfadjointView<Eigen::Lower>(); }
 
-double residuals_of(const std::vector<SampleGroup>& groups) {
-  double residuals = 0;
-  for (const SampleGroup& g : groups) residuals += 3.0 * static_cast<double>(g.end - g.begin - 1);
-  return residuals;
-}
-
 double information_of(const std::vector<SampleGroup>& groups, const LightSolveOptions& options) {
   return std::min(options.information, options.independent_residuals / std::max(1.0, residuals_of(groups)));
 }
@@ -240,14 +233,14 @@ double independent_residuals(std::span<const LightSample> samples, const LightSo
 }
 
 double light_misfit(std::span<const LightSample> samples, const LightSolveOptions& options, const Lights& lights, const Lights& base) {
-  const LightLayout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss};
+  const LightLayout layout = layout_of(options);
   const std::vector<SampleGroup> groups = groups_of(samples);
-  const double scale = kCauchy * std::max(robust_scale(base, samples, groups, layout).first, 0.1), dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy));
+  const double scale = cauchy_scale(base, samples, groups, layout), dispersion = dispersion_of(scale);
   return accumulate(lights, base, samples, groups, layout, scale, false).objective * information_of(groups, options) / (dispersion * dispersion);
 }
 
 LightSolution solve_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& start) {
-  const LightLayout layout{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss};
+  const LightLayout layout = layout_of(options);
   const std::vector<SampleGroup> groups = groups_of(samples);
   if (groups.empty() && references.empty() && !options.flash_ln_mean)
     throw Error("lights: no surfel is seen twice, nothing of known albedo is given and the flash has no calibrated range: the light cannot be found");
@@ -268,8 +261,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
   double damping = 1e-4;
   const auto build = [&](const Lights& at, const Lights& weigh, double scale, bool with_derivatives) {
     Normal n = accumulate(at, weigh, samples, groups, layout, scale, with_derivatives);
-    // Residuals beyond what their weights expect are the model's: the samples say that much less, and as much fewer of them are independent.
-    const double dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy)), independent = information / dispersion;
+    const double dispersion = dispersion_of(scale), independent = information / dispersion;
     n.a *= independent / dispersion;
     n.limit *= independent / dispersion;
     n.g *= independent / dispersion;
@@ -280,7 +272,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
     add_priors(at, weigh, options, layout, n);
     return n;
   };
-  double scale = kCauchy * std::max(robust_scale(x, samples, groups, layout).first, 0.1);
+  double scale = cauchy_scale(x, samples, groups, layout);
   Normal here = build(x, x, scale, true);
   for (int it = 0; it < options.max_iterations; ++it) {
     solution.iterations = it + 1;
@@ -315,7 +307,7 @@ LightSolution solve_lights(std::span<const LightSample> samples, std::span<const
       break;
     }
     // The scale follows the residuals while they still shrink.
-    if (it < 8) scale = kCauchy * std::max(robust_scale(x, samples, groups, layout).first, 0.1);
+    if (it < 8) scale = cauchy_scale(x, samples, groups, layout);
     here = build(x, x, scale, true);
   }
   solution.lights = x;

@@ -9,21 +9,12 @@
 namespace chiaro::optimize {
 namespace {
 
-constexpr double kCauchy = 2.385;
-constexpr double kLeastScale = 0.1;    ///< as of solve_lights()
 constexpr double kStill = 1e-3;        ///< of ln factor: over
 constexpr double kLongestStep = 0.7;   ///< of ln factor
 constexpr std::size_t kTrials = 9;     ///< three photographs, in each of three ways
 constexpr std::size_t kAtOnce = 20;    ///< one photograph in so many is added at a time, at least one
 
 enum Kind : std::size_t { kAmbient, kExposure, kKinds };
-
-double median(std::vector<double> v) {
-  if (v.empty()) return 0;
-  const auto mid = v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2);
-  std::nth_element(v.begin(), mid, v.end());
-  return *mid;
-}
 
 /// What the samples say about the factors of all photographs, at the lights that suit them best. Row kKinds * photograph + kind is a factor's.
 struct Information {
@@ -39,10 +30,9 @@ class Search {
   Search(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const LightSolution& solution,
          std::span<const OwnLight> known, const OwnLightOptions& own)
       : samples_(samples.begin(), samples.end()), references_(references.begin(), references.end()), options_(options), own_(own), groups_(groups_of(samples_)),
-        layout_{options.sky_terms, options.sky_colour && options.sky_terms > 0, options.floor, options.gloss}, solution_(solution), before_(known.begin(), known.end()), now_(before_),
+        layout_(layout_of(options)), solution_(solution), before_(known.begin(), known.end()), now_(before_),
         surfels_(known.size(), 0), with_flash_(known.size(), false) {
-    for (const SampleGroup& g : groups_) residuals_ += 3.0 * static_cast<double>(g.end - g.begin - 1);
-    residuals_ = std::max(1.0, residuals_);
+    residuals_ = std::max(1.0, residuals_of(groups_));
     independent_ = independent_residuals(samples_, options_);
     for (const SampleGroup& g : groups_)
       for (std::size_t i = g.begin; i < g.end; ++i) {
@@ -88,13 +78,13 @@ class Search {
 
   void solve() {
     solution_ = solve_lights(samples_, references_, options_, solution_.lights);
-    const double scale = kCauchy * std::max(robust_scale(solution_.lights, samples_, groups_, layout_).first, kLeastScale), dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy));
-    scale_ = scale;
-    dispersion_ = dispersion;
-    gather(scale, independent_ / residuals_ / (dispersion * dispersion));
+    scale_ = cauchy_scale(solution_.lights, samples_, groups_, layout_);
+    gather(scale_, share_at(scale_));
   }
 
-  /// share: of the samples' information that counts.
+  /// Of the samples' information, what counts at that scale.
+  double share_at(double scale) const { return independent_ / residuals_ / (dispersion_of(scale) * dispersion_of(scale)); }
+
   void gather(double scale, double share) {
     const auto p = static_cast<Eigen::Index>(layout_.size()), rows = static_cast<Eigen::Index>(kKinds * now_.size()), free = static_cast<Eigen::Index>(used_.size());
     at_ = Information();
@@ -212,7 +202,7 @@ class Search {
     std::vector<double> others;
     for (std::size_t k = 0; k < now_.size(); ++k)
       if (surfels_[k] >= own_.least_surfels && with_flash_[k] && !in_use(k)) others.push_back(std::max(gain(k, {kAmbient}), gain(k, {kExposure})));
-    const double least = own_.least_deviations * own_.least_deviations * median(others);
+    const double least = own_.least_deviations * own_.least_deviations * upper_median(others);
     std::vector<OwnLight> change(now_.size());
     bool any = false;
     for (const Added& a : added_) {
@@ -241,7 +231,7 @@ class Search {
   void consider(std::size_t k, std::vector<Candidate>& all) const {
     if (surfels_[k] < own_.least_surfels || (!in_use(k) && 2 * (members_ + 1) >= compared_)) return;
     // What a wrong factor adds to the scatter must not hide it.
-    const double price = std::log(std::max(2.0, independent_)), sharper = dispersion_ * dispersion_;
+    const double price = std::log(std::max(2.0, independent_)), sharper = dispersion_of(scale_) * dispersion_of(scale_);
     const bool ambient = solution_.sky_terms > 0 && !uses(kKinds * k + kAmbient), exposure = with_flash_[k] && !uses(kKinds * k + kExposure);   // without flash nothing tells one from the other
     if (ambient) all.push_back({k, true, false, price - sharper * gain(k, {kAmbient})});
     if (exposure) all.push_back({k, false, true, price - sharper * gain(k, {kExposure})});
@@ -268,7 +258,6 @@ class Search {
 
   /// Twice the misfit of samples, references and priors there; weights are those of where it was tried from, and the scale is one for all ways.
   double misfit(const Outcome& there, double scale) const {
-    const double dispersion = std::max(1.0, scale * scale / (kCauchy * kCauchy)), share = independent_ / residuals_ / (dispersion * dispersion);
     double sum = 0, factors = 0;
     Deviations d, weigh;
     std::vector<LightSample> changed;
@@ -282,7 +271,7 @@ class Search {
       }
     }
     for (const OwnLight& own : there.own) factors += std::pow(std::log(own.ambient) / own_.ambient_ln_sd, 2) + std::pow(std::log(own.exposure) / own_.exposure_ln_sd, 2);
-    return share * sum + 2 * there.outside_misfit + factors;
+    return share_at(scale) * sum + 2 * there.outside_misfit + factors;
   }
 
   /// Frees factors of the photograph that asks most: of the likeliest candidates the one that explains most once all is settled. Returns whether there was one.
@@ -352,7 +341,7 @@ class Search {
   std::vector<Added> added_;   ///< in this search
   std::vector<bool> with_flash_;
   std::size_t compared_ = 0, members_ = 0;
-  double independent_ = 0, residuals_ = 0, scale_ = 0, dispersion_ = 1;
+  double independent_ = 0, residuals_ = 0, scale_ = 0;
   Information at_;
   std::vector<std::array<double, kKinds>> effect_;
 };

@@ -2,6 +2,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <optional>
 
 #include "stream/store/neighbour_walk.h"
 #include "stream/store/plane_fit.h"
@@ -179,71 +180,30 @@ class RadiusFitter {
     }
   };
 
-  // The nearest other face: the plane through those neighbours, within kEdgeReach mean distances, whose normals agree with the nearest one's that is turned
-  // away from the point's. The disc ends where it meets that plane, unless its own face goes on behind it.
-  void clip_at_edge(std::uint32_t i, const NeighbourList& list, const Selection& c) {
-    constexpr float kBehind = 0.6f, kMargin = 0.1f;
-    const float mean = fits_[i].mean_of_nearest;
-    const Vec3f normal = own_normal(i);
-    far_edge_ = kAllNeighbours;
-    const float reach = kEdgeReach * mean, reach2 = reach * reach;
-    std::size_t nearest = list.size();
-    for (std::size_t k = 0; k < list.size(); ++k) {
-      if (list.distance_squared[k] > reach2 || (nearest < list.size() && list.distance_squared[k] >= list.distance_squared[nearest])) continue;
-      if (std::abs(normal.dot(normal_of(list, k, c))) < kOtherFace) nearest = k;
-    }
-    if (nearest == list.size()) return;
-    const Vec3f first = normal_of(list, nearest, c);
-    Vec3f other = Vec3f::Zero(), at = Vec3f::Zero(), own_side = Vec3f::Zero();
-    float weight = 0;
-    for (std::size_t k = 0; k < list.size(); ++k) {
-      if (list.distance_squared[k] > reach2) continue;
-      const Vec3f n = normal_of(list, k, c);
-      const float cosine = n.dot(first);
-      if (std::abs(cosine) > kSameFace && std::abs(normal.dot(n)) < kOtherFace) {
-        const float w = std::exp(-list.distance_squared[k] / (mean * mean));
-        other += (cosine < 0 ? -w : w) * n;
-        at += w * list.offset(k);
-        weight += w;
-      }
-      if (std::abs(normal.dot(n)) > kSameFace) own_side += list.offset(k);
-    }
-    at /= weight;
-    other.normalize();
-    Vec3f across = other - other.dot(normal) * normal;
-    const float length = across.norm();
-    if (!(length > 0.3f)) return;
-    float distance = other.dot(at) / length;
-    across /= length;
-    if (own_side.dot(across) > 0) {
+  // Where a disc's plane meets that of another face, in the disc's plane: x . across = distance.
+  struct EdgeLine {
+    Vec3f across;
+    float distance;
+    Vec3f points;   // mean of the other face's
+    void turn() {
       across = -across;
       distance = -distance;
     }
-    if (distance < -kBehind * mean) return;
-    int behind = 0;
-    for (std::size_t k = 0; k < list.size(); ++k)
-      behind += list.distance_squared[k] <= reach2 && std::abs(normal.dot(normal_of(list, k, c))) > kSameFace && list.offset(k).dot(across) > distance + kBehind * mean;
-    if (behind > 1) return;
-    fits_[i].clip_across = across;
-    fits_[i].clip_distance = std::max(0.0f, distance) + kMargin * mean;
-    far_edge_ = opposite_edge(normal, across, list, c, reach2, mean);
-  }
+  };
 
-  // Where a second face begins on the other side of the point: the distance of the line in which its plane meets the disc's; kAllNeighbours if none does.
-  float opposite_edge(const Vec3f& normal, const Vec3f& across, const NeighbourList& list, const Selection& c, float reach2, float mean) const {
-    constexpr float kOpposite = -0.3f;
-    const auto is_there = [&](std::size_t k) {
-      return list.distance_squared[k] <= reach2 && std::abs(normal.dot(normal_of(list, k, c))) < kOtherFace && list.offset(k).dot(across) < 0;
-    };
+  // Of the neighbours for which is_there() holds and that are turned away from the normal: the plane through those whose normals agree with the nearest one's.
+  template <class IsThere>
+  std::optional<EdgeLine> nearest_edge(const Vec3f& normal, const NeighbourList& list, const Selection& c, float mean, const IsThere& is_there) const {
+    const auto is_turned = [&](std::size_t k) { return is_there(k) && std::abs(normal.dot(normal_of(list, k, c))) < kOtherFace; };
     std::size_t nearest = list.size();
     for (std::size_t k = 0; k < list.size(); ++k)
-      if (is_there(k) && (nearest == list.size() || list.distance_squared[k] < list.distance_squared[nearest])) nearest = k;
-    if (nearest == list.size()) return kAllNeighbours;
+      if ((nearest == list.size() || list.distance_squared[k] < list.distance_squared[nearest]) && is_turned(k)) nearest = k;
+    if (nearest == list.size()) return std::nullopt;
     const Vec3f first = normal_of(list, nearest, c);
     Vec3f other = Vec3f::Zero(), at = Vec3f::Zero();
     float weight = 0;
     for (std::size_t k = 0; k < list.size(); ++k) {
-      if (!is_there(k)) continue;
+      if (!is_turned(k)) continue;
       const Vec3f n = normal_of(list, k, c);
       const float cosine = n.dot(first);
       if (std::abs(cosine) <= kSameFace) continue;
@@ -254,15 +214,37 @@ class RadiusFitter {
     }
     at /= weight;
     other.normalize();
-    Vec3f back = other - other.dot(normal) * normal;
-    const float length = back.norm();
-    if (!(length > 0.3f)) return kAllNeighbours;
-    float distance = other.dot(at) / length;
-    if (back.dot(at) < 0) {
-      back = -back;
-      distance = -distance;
-    }
-    return back.dot(across) < kOpposite * length ? std::max(0.0f, distance) : kAllNeighbours;
+    const Vec3f across = other - other.dot(normal) * normal;
+    const float length = across.norm();
+    if (!(length > 0.3f)) return std::nullopt;
+    return EdgeLine{across / length, other.dot(at) / length, at};
+  }
+
+  // The disc ends where it meets the nearest other face within kEdgeReach mean distances, unless its own face goes on behind it.
+  void clip_at_edge(std::uint32_t i, const NeighbourList& list, const Selection& c) {
+    constexpr float kBehind = 0.6f, kMargin = 0.1f, kOpposite = -0.3f;
+    far_edge_ = kAllNeighbours;
+    const float mean = fits_[i].mean_of_nearest, reach = kEdgeReach * mean, reach2 = reach * reach;
+    const Vec3f normal = own_normal(i);
+    const auto is_near = [&](std::size_t k) { return list.distance_squared[k] <= reach2; };
+    const auto is_own = [&](std::size_t k) { return is_near(k) && std::abs(normal.dot(normal_of(list, k, c))) > kSameFace; };
+    auto edge = nearest_edge(normal, list, c, mean, is_near);
+    if (!edge) return;
+    Vec3f own_side = Vec3f::Zero();
+    for (std::size_t k = 0; k < list.size(); ++k)
+      if (is_own(k)) own_side += list.offset(k);
+    if (own_side.dot(edge->across) > 0) edge->turn();
+    if (edge->distance < -kBehind * mean) return;
+    int behind = 0;
+    for (std::size_t k = 0; k < list.size(); ++k) behind += is_own(k) && list.offset(k).dot(edge->across) > edge->distance + kBehind * mean;
+    if (behind > 1) return;
+    fits_[i].clip_across = edge->across;
+    fits_[i].clip_distance = std::max(0.0f, edge->distance) + kMargin * mean;
+    // A second face on the other side.
+    auto far = nearest_edge(normal, list, c, mean, [&](std::size_t k) { return is_near(k) && list.offset(k).dot(edge->across) < 0; });
+    if (!far) return;
+    if (far->points.dot(far->across) < 0) far->turn();
+    if (far->across.dot(edge->across) < kOpposite) far_edge_ = std::max(0.0f, far->distance);
   }
 
   Vec3f own_normal(std::uint32_t i) const { return {own_.nx[i], own_.ny[i], own_.nz[i]}; }
@@ -326,22 +308,26 @@ class RadiusFitter {
     }
   }
 
-  static bool few_on_face(const Face& face, const NeighbourList& list, const Selection& c) {
-    int on_face = 0;
-    for (std::size_t k = 0; k < list.size(); ++k) on_face += face.holds(list.offset(k), list.distance_squared[k], list.candidate[k], c);
-    return on_face < 5;
+  struct FaceCounts {
+    int near = 0, on_face = 0;
+  };
+  static FaceCounts count_on(const Face& face, const NeighbourList& list, const Selection& c, float reach2) {
+    FaceCounts counts;
+    for (std::size_t k = 0; k < list.size(); ++k) {
+      if (list.distance_squared[k] > reach2) continue;
+      ++counts.near;
+      counts.on_face += face.holds(list.offset(k), list.distance_squared[k], list.candidate[k], c);
+    }
+    return counts;
   }
+
+  static bool few_on_face(const Face& face, const NeighbourList& list, const Selection& c) { return count_on(face, list, c, kAllNeighbours).on_face < 5; }
 
   // On a ridge or a corner few of the nearest are on the point's own face, as its normal belongs to none of the faces that meet there. The discs of these reach
   // the edge; one as large as a cell that they do not bound would stand out far into the air.
   static bool is_ridge(const Face& face, const NeighbourList& list, const Selection& c, float reach) {
-    int near = 0, on_face = 0;
-    for (std::size_t k = 0; k < list.size(); ++k) {
-      if (list.distance_squared[k] > reach * reach) continue;
-      ++near;
-      on_face += face.holds(list.offset(k), list.distance_squared[k], list.candidate[k], c);
-    }
-    return static_cast<float>(on_face) < kRidgeShare * static_cast<float>(near);
+    const FaceCounts counts = count_on(face, list, c, reach * reach);
+    return static_cast<float>(counts.on_face) < kRidgeShare * static_cast<float>(counts.near);
   }
 
   TangentCell cell_of(const Face& face, const NeighbourList& list, const Selection& c, float scale, bool use_all) const {
@@ -364,7 +350,7 @@ class RadiusFitter {
   std::array<TangentLines, kLanes> lines_;
   std::array<CellCorners, kLanes> cells_;
   NeighbourList list_;
-  float far_edge_ = 0;
+  float far_edge_ = 0;   // where a second face begins on the other side of the point; kAllNeighbours if none does
   std::vector<float> tangent_u_, tangent_v_;
 };
 

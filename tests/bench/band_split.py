@@ -10,16 +10,13 @@ lowest band, 1.5 in the highest, evenly between) and the same reading at points,
 Columns: error |a - truth| / truth of points that two photographs or more see, mean / median, per cent; seam as in blend_figures.py, and away from edges as in
 blend_seams.py; sharpness as in blend_figures.py; how far the lowest bands of two photographs of a point are apart (median, per cent); seconds to split all photographs (numpy).
 """
-import argparse
 import json
 import time
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
-from scipy.spatial import cKDTree
 
-from blend_figures import Figures, bilinear, cameras, mean_median, neighbours, raster, relative, seam, sharpness
+from blend_figures import Figures, bilinear, cameras, mean_median, neighbours, raster, relative, scene_and_run, seam, sharpness
 from blend_seams import edge_distance, uneven_light
 
 BORDER_PX = 12
@@ -113,17 +110,13 @@ def blended(f, photographs, poses, splits, bands):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("run", type=Path)
-    words = parser.parse_args()
+    words = scene_and_run(__doc__).parse_args()
     f = Figures(words.scene, words.run)
     poses = cameras(words.scene / "sparse")
     photographs = [Photograph(words.run / "work/photographs" / name, poses[name]) for name in f.names]
     radius = json.loads((words.run / "run.json").read_text())["blending"]["weights"]["low_radius"]
     sees = np.stack([w for _, w in f.single], -1) > 0
-    spacing = np.median(cKDTree(f.points).query(f.points, 2, workers=-1)[0][:, 1])
-    edge, _ = edge_distance(f.points, spacing)
+    edge, _ = edge_distance(f.points)
     away = (edge > 8) & ~uneven_light(words.scene, words.run, f.points, sees, f.names)
     print(f"radius of the highest band's mean {radius:.4g}; each further one twice as wide\n")
     print("| split | bands | error, % | seam | away from edges | sharpness | lowest bands apart, % | split, s |\n| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")

@@ -229,10 +229,16 @@ class Figures:
         return relative(self.blend[seen], self.truth[seen])
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def scene_and_run(description):
+    """A parser of the two folders that all of these take."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", type=Path)
     parser.add_argument("run", type=Path)
+    return parser
+
+
+def main():
+    parser = scene_and_run(__doc__)
     parser.add_argument("--band", type=float, nargs=2, help="height of the painted band, for sharpness")
     words = parser.parse_args()
     f = Figures(words.scene, words.run)

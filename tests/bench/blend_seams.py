@@ -12,22 +12,20 @@ A step is the difference of the log error between two neighbouring points; acros
   away         only steps farther than 8 spacings from edges of the geometry and not beside a cast shadow's edge
 Then the steps by kind: how many lie across, which part of the energy across they make up, mean step of the blend (per cent) across and inside, and that of single photographs.
 """
-import argparse
-from pathlib import Path
-
 import numpy as np
 from scipy.spatial import cKDTree
 
-from blend_figures import Figures, cameras, log_error, neighbours, raster
+from blend_figures import Figures, cameras, log_error, neighbours, raster, scene_and_run
 
 FAR = (2, 4, 8, 16)
 UNEVEN = 0.03   # standard deviation over mean of the flash's irradiance in a pixel
 BUMPY = 0.12     # of the radius of the surroundings: a fold of 50 degrees through the middle
 
 
-def edge_distance(points, spacing):
+def edge_distance(points):
     """From the nearest point whose surroundings (24 points) are not flat, or that lies at an end of the surface; in spacings, at most 32."""
     tree = cKDTree(points)
+    spacing = np.median(tree.query(points, 2, workers=-1)[0][:, 1])
     edges = np.zeros(len(points), bool)
     for at in range(0, len(points), 1 << 16):
         own = slice(at, at + (1 << 16))
@@ -66,10 +64,7 @@ def ratio(step, across, chosen=slice(None)):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("run", type=Path)
-    words = parser.parse_args()
+    words = scene_and_run(__doc__).parse_args()
     f = Figures(words.scene, words.run)
     weights, mean, best = f.plain()
     sees, seen = weights > 0, (f.photos > 0) & (weights > 0).any(1)
@@ -77,8 +72,7 @@ def main():
     across = (sees[i] != sees[j]).any(1)
     common = (sees[i] & sees[j]).sum(1)
     i, j, across, common = (v[common > 0] for v in (i, j, across, common))
-    spacing = np.median(cKDTree(f.points).query(f.points, 2, workers=-1)[0][:, 1])
-    from_edge, share = edge_distance(f.points, spacing)
+    from_edge, share = edge_distance(f.points)
     edge = np.minimum(from_edge[i], from_edge[j])
     uneven = uneven_light(words.scene, words.run, f.points, sees, f.names)
     shadow = uneven[i] | uneven[j]

@@ -112,17 +112,8 @@ TEST(Blend, ThreeBandsHaveTheSameBytesForAnyBudgetAndAfterStops) {
   EXPECT_NE(expected, two);
   w.run(photos, options, 3000 << 10);
   EXPECT_EQ(w.bytes(), expected);
-  int stops = 0;
-  for (int calls = 3;; calls += 9) {
-    StoppingReporter report(calls);
-    try {
-      w.run(photos, options, stops % 2 == 0 ? kPlenty : 3000 << 10, report);
-      break;
-    } catch (const Cancelled&) {
-      ++stops;
-    }
-    ASSERT_LT(stops, 100);
-  }
+  const int stops = stops_until_done(3, 9, [&](Reporter& report, int before) { w.run(photos, options, before % 2 == 0 ? kPlenty : 3000 << 10, report); });
+  ASSERT_LT(stops, 100);
   EXPECT_GE(stops, 3);
   EXPECT_EQ(w.bytes(), expected);
   options.low_band_px = 40;
@@ -344,20 +335,11 @@ TEST(Blend, AStoppedBlendContinuesToTheSameBytes) {
                                             w.photograph("c", Vec3d(0.5, 0.9, 0.8), Vec3d(0.5, 0.5, 0), gained(0.95f))};
   const BlendStats whole = w.run(photos);
   const auto expected = w.bytes();
-  int stops = 0;
-  for (int calls = 3;; calls += 9) {
-    StoppingReporter report(calls);
-    // bands of different heights before and after each stop
-    const std::uint64_t budget = stops % 2 == 0 ? kPlenty : 2400 << 10;
-    try {
-      const BlendStats stats = w.run(photos, {}, budget, report);
-      for (std::size_t k = 0; k < photos.size(); ++k) EXPECT_EQ(stats.photographs[k].samples, whole.photographs[k].samples);
-      break;
-    } catch (const Cancelled&) {
-      ++stops;
-    }
-    ASSERT_LT(stops, 100);
-  }
+  const int stops = stops_until_done(3, 9, [&](Reporter& report, int before) {
+    const BlendStats stats = w.run(photos, {}, before % 2 == 0 ? kPlenty : 2400 << 10, report);   // bands of different heights before and after each stop
+    for (std::size_t k = 0; k < photos.size(); ++k) EXPECT_EQ(stats.photographs[k].samples, whole.photographs[k].samples);
+  });
+  ASSERT_LT(stops, 100);
   EXPECT_GE(stops, 3);
   EXPECT_EQ(w.bytes(), expected);
 }

@@ -152,17 +152,8 @@ TEST_F(Kept, AStoppedOneGoesOnToTheSameBytes) {
   keep(photos);
   photos.push_back(at("late", 2.0, gained(0.9f)));
   photos.erase(photos.begin());
-  int stops = 0;
-  for (int calls = 20;; calls += 40) {
-    StoppingReporter report(calls);
-    try {
-      keep(photos, report, stops % 2 == 0 ? kPlenty : 3000 << 10);
-      break;
-    } catch (const Cancelled&) {
-      ++stops;
-    }
-    ASSERT_LT(stops, 200);
-  }
+  const int stops = stops_until_done(20, 40, [&](Reporter& report, int before) { keep(photos, report, before % 2 == 0 ? kPlenty : 3000 << 10); });
+  ASSERT_LT(stops, 200);
   EXPECT_GE(stops, 3);
   const auto found = w.bytes();
   w.run(photos);

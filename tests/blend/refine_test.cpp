@@ -124,17 +124,7 @@ TEST_F(Refine, WhatIsStoppedGoesOn) {
   find(photos, 5000);
   const std::string reference = bytes();
   std::filesystem::remove(file());
-  int stops = 0;
-  for (int calls = 2;; ++calls) {
-    StoppingReporter report(calls);
-    try {
-      find(photos, 5000, kPlenty, report);
-      break;
-    } catch (const Cancelled&) {
-      ++stops;
-      EXPECT_FALSE(std::filesystem::exists(file()));
-    }
-  }
+  const int stops = stops_until_done(2, 1, [&](Reporter& report, int) { find(photos, 5000, kPlenty, report); }, [&] { EXPECT_FALSE(std::filesystem::exists(file())); });
   EXPECT_GT(stops, 2);
   EXPECT_EQ(bytes(), reference);
 }

@@ -1,6 +1,9 @@
 /// A reporter that cancels.
 #pragma once
+#include <gtest/gtest.h>
+
 #include <atomic>
+#include <functional>
 
 #include "stream/base/report.h"
 
@@ -19,5 +22,22 @@ class StoppingReporter : public Reporter {
  private:
   mutable std::atomic<int> left_;
 };
+
+/// Calls attempt(report, stops so far) until one is not stopped: the first after `first` calls, each later one after `later` more. Returns how many were.
+template <class Attempt>
+int stops_until_done(int first, int later, const Attempt& attempt, const std::function<void()>& after_stop = {}) {
+  constexpr int kMost = 200;
+  for (int stops = 0; stops < kMost; ++stops) {
+    StoppingReporter report(first + stops * later);
+    try {
+      attempt(report, stops);
+      return stops;
+    } catch (const Cancelled&) {
+      if (after_stop) after_stop();
+    }
+  }
+  ADD_FAILURE() << "stopped " << kMost << " times";
+  return kMost;
+}
 
 }  // namespace chiaro::blend
