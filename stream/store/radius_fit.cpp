@@ -4,6 +4,7 @@
 #include <limits>
 #include <optional>
 
+#include "stream/store/border_line.h"
 #include "stream/store/neighbour_walk.h"
 #include "stream/store/plane_fit.h"
 #include "stream/store/tangent_cell.h"
@@ -31,7 +32,7 @@ class RadiusFitter {
     }
     for (std::size_t at = 0; at < group.size(); ++at)
       if (reach[at] > 0) start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
-    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = reach[at] > 0 && fit_inside(group, at, reach[at], false);
+    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = reach[at] > 0 && fit_inside(group, at, reach[at]);
   }
 
   bool fit_near(const SearchGroup& group, std::size_t at, const CandidateView& view, const Selection& c) {
@@ -41,7 +42,7 @@ class RadiusFitter {
     if (row_.num > options_.most) return false;
     if (make_lines(group, at, view, radius, lines_[at])) {
       start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
-      if (fit_inside(group, at, kAllNeighbours, true)) return true;
+      if (fit_inside(group, at, kAllNeighbours)) return true;
     }
     make_list(group, at);
     return fit_one(static_cast<std::uint32_t>(i), list_, c, false);
@@ -63,6 +64,7 @@ class RadiusFitter {
   static constexpr float kSameFace = 0.9f;
   static constexpr float kEdgeReach = 2.2f, kOtherFace = 0.82f;
   static constexpr float kAllNeighbours = 1e30f;
+  static constexpr float kBorderReach = 3, kMostToBorder = 1, kBeyondBorder = 0.4f;
   static constexpr float kRidgeShare = 0.45f, kMostBeyondAll = 1.4f, kLeastOnRidge = 0.8f, kOverFarEdge = 0.25f;
 
   // Near an evenly sampled surface the search finds pi * spacings^2 points. An outlier finds many more, all on one side of it.
@@ -92,20 +94,14 @@ class RadiusFitter {
 
   // What nearly all points are: amid a smooth surface, their cell closed by neighbours on all sides. False for all others, and if the neighbours within
   // `reach`, of whose lines the cell was started, do not tell.
-  bool fit_inside(const SearchGroup& group, std::size_t at, float reach, bool may_be_open) {
+  bool fit_inside(const SearchGroup& group, std::size_t at, float reach) {
     const std::size_t i = group.begin + at;
     const float mean = group.mean[at], scale = scale_of(group, at);
-    bool open = false;
-    const float within = farthest_corner(lines_[at], cells_[at], 3 * scale, scale, reach, open);
+    const float within = farthest_corner(lines_[at], cells_[at], 3 * scale, scale, reach);
     if (!(within > 0)) return false;
-    if (open) {
-      if (!may_be_open) return false;
-      make_list(group, at);
-      if (is_line(list_)) return false;
-    }
     fits_[i] = RadiusFit{};
     fits_[i].mean_of_nearest = mean;
-    fits_[i].radius = disc_radius(within, scale, open);
+    fits_[i].radius = disc_radius(within, scale, false);
     return true;
   }
 
@@ -120,10 +116,10 @@ class RadiusFitter {
     return std::clamp(1.1f * within, 0.75f * scale, std::max(1.1f * within, scale));
   }
 
-  // Distance of the farthest corner of the Voronoi cell in the tangent plane, of those that lie inside the surface; open: there are others. 0 if the cell is not
-  // closed by neighbours, or cannot be told from those within `reach`. The started cell is too large; its corners are cut, the farthest first, until the farthest
+  // Distance of the farthest corner of the Voronoi cell in the tangent plane. 0 if the cell is not closed by neighbours, if the corner does not lie inside the
+  // surface, or if it cannot be told from those within `reach`. The started cell is too large; its corners are cut, the farthest first, until the farthest
   // is right: all others are nearer then.
-  static float farthest_corner(const TangentLines& lines, CellCorners& c, float half, float scale, float reach, bool& open) {
+  static float farthest_corner(const TangentLines& lines, CellCorners& c, float half, float scale, float reach) {
     for (;;) {
       const std::size_t at = c.farthest();
       const float squared = c.squared[at], x = c.x[at], y = c.y[at];
@@ -138,10 +134,7 @@ class RadiusFitter {
       }
       const float d = std::sqrt(squared);
       if (std::max(std::abs(x), std::abs(y)) >= 0.9999f * half || 2 * d > reach) return 0;
-      if (d <= scale || lines.is_beyond(x / d, y / d, d)) return d;
-      if (reach < kAllNeighbours) return 0;
-      open = true;
-      c.squared[at] = -1;  // done
+      return d <= scale || lines.is_beyond(x / d, y / d, d) ? d : 0;
     }
   }
 
@@ -264,24 +257,43 @@ class RadiusFitter {
     project(face, list);
     TangentCell cell = cell_of(face, list, c, scale, false);
     if (is_ridge(face, list, c, kEdgeReach * mean) || (!cell.bounded() && few_on_face(face, list, c))) cell = cell_of(face, list, c, scale, true);
+    float within = 0;   // the farthest corner that lies inside the surface
+    bool open = false;
+    bool clipped = cut_cell(i, face, scale, cell, within, open);
+    if (open && !clipped && find_border(i, face, scale)) cut_cell(i, face, scale, cell, within, open);
+    // One line can be cut off. Where a second face begins on the other side, only a smaller disc keeps from standing out over it.
+    const float radius = std::min(disc_radius(within, scale, open), std::max(kLeastOnRidge, far_edge_ / mean + kOverFarEdge) * mean);
+    if (radius <= kMostBeyondAll * scale) return radius;
+    // Near an edge the disc reaches over what belongs to points of the other face, but not as far as those that stand out of the surface would.
+    return std::min(radius, std::max(scale, kMostBeyondAll * 1.1f * std::sqrt(cell_of(face, list, c, scale, true).farthest_squared())));
+  }
+
+  // Ends the cell where the disc ends; does it reach that far?
+  bool cut_cell(std::uint32_t i, const Face& face, float scale, TangentCell& cell, float& within, bool& open) const {
     const Vec3f& across_edge = fits_[i].clip_across;
     const Vec3f axis = across(face.normal);
     const float edge_u = axis.dot(across_edge), edge_v = face.normal.cross(axis).dot(across_edge), edge_distance = fits_[i].clip_distance;
     const bool clipped = !across_edge.isZero() && cell.cuts(edge_u, edge_v, edge_distance);
     if (clipped) cell.clip(edge_u, edge_v, edge_distance);
-    float within = 0;   // the farthest corner that lies inside the surface
-    bool open = false;
+    within = 0;
+    open = false;
     cell.for_corners([&](float x, float y) {
       const float d = std::sqrt(x * x + y * y);
       const bool on_edge = clipped && d <= 2 * scale && edge_u * x + edge_v * y > edge_distance - 0.01f * scale;
       if (d <= scale || on_edge || is_inside(x / d, y / d, d)) within = std::max(within, d);
       else open = true;
     });
-    // One line can be cut off. Where a second face begins on the other side, only a smaller disc keeps from standing out over it.
-    const float radius = std::min(disc_radius(within, scale, open), std::max(kLeastOnRidge, far_edge_ / mean + kOverFarEdge) * mean);
-    if (radius <= kMostBeyondAll * scale) return radius;
-    // Near an edge the disc reaches over what belongs to points of the other face, but not as far as those that stand out of the surface would.
-    return std::min(radius, std::max(scale, kMostBeyondAll * 1.1f * std::sqrt(cell_of(face, list, c, scale, true).farthest_squared())));
+    return clipped;
+  }
+
+  // Where the surface ends with nothing behind it, the disc ends, too.
+  bool find_border(std::uint32_t i, const Face& face, float scale) {
+    const auto border = find_border_line(tangent_u_, tangent_v_, kBorderReach * scale, kMostToBorder * scale, kBeyondBorder * scale);
+    if (!border) return false;
+    const Vec3f axis = across(face.normal);
+    fits_[i].clip_across = border->u * axis + border->v * face.normal.cross(axis);
+    fits_[i].clip_distance = border->distance;
+    return true;
   }
 
   // A corner of the cell is inside the surface if points lie beyond it. On a border the half-way lines of the outermost points meet far outside, where

@@ -48,6 +48,35 @@ TEST(Tracer, HitsAPlaneWhereItIs) {
   }
 }
 
+// Of rays across the border of a square, the share that meets it `beyond` spacings outside (inside, if negative).
+double share_met(const Tracer& tracer, double half, double spacing, double beyond) {
+  int met = 0;
+  constexpr int kRays = 2000;
+  for (int i = 0; i < kRays; ++i) {
+    const double along = (1.8 * (i + 0.5) / kRays - 0.9) * half, across = half + beyond * spacing;
+    const Vec3d at[] = {{across, along, 0}, {-across, along, 0}, {along, across, 0}, {along, -across, 0}};
+    Hit hit;
+    met += tracer.closest({(at[i % 4] + Vec3d(0, 0, 1)).cast<float>(), {0, 0, -1}, 0, 1e30f}, hit);
+  }
+  return static_cast<double>(met) / kRays;
+}
+
+TEST(Tracer, DiscsEndWhereTheSurfaceEnds) {
+  const ScratchFolder folder;
+  std::vector<tests::SampledPoint> points;
+  for (std::uint64_t i = 0; i < 10000; ++i) {
+    const auto u = uniform01x4(12, Purpose::kTest, i, 0);
+    points.push_back({{2 * u[0] - 1.0, 2 * u[1] - 1.0, 0}, {0, 0, 1}});
+  }
+  const stream::Store store = build_test_store(points, folder.path());
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, {0, 0, 0});
+  EXPECT_GT(share_met(tracer, 1, 0.02, -0.5), 0.99);
+  EXPECT_LT(share_met(tracer, 1, 0.02, 0.6), 0.6);    // whole discs: 0.8
+  EXPECT_LT(share_met(tracer, 1, 0.02, 1), 0.15);     // 0.5
+  EXPECT_LT(share_met(tracer, 1, 0.02, 1.3), 0.02);   // 0.3
+}
+
 TEST(Tracer, LetsNoRayOutOfASphere) {
   const ScratchFolder folder;
   const stream::Store store = build_test_store(sphere_points(60000, 1.0, {0, 0, 0}, true), folder.path());
