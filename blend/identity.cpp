@@ -57,6 +57,7 @@ std::string photograph_key(const BlendPhotograph& p) {
   for (const double v : lens.p) hash.add(v);
   for (int i = 0; i < 9; ++i) hash.add(p.camera.pose.rotation_camera_from_world(i / 3, i % 3));
   for (int i = 0; i < 3; ++i) hash.add(p.camera.pose.translation_camera_from_world[i]);
+  if (p.camera.focus.aperture > 0) hash.add("focus").add(p.camera.focus.aperture).add(p.camera.focus.distance);
   add_raster(hash, p.gbuffer);
   add_raster(hash, p.albedo);
   add_raster(hash, p.radiance);

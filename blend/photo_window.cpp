@@ -22,12 +22,20 @@ void check_raster(const stream::RasterReader& raster, const std::filesystem::pat
 
 /// Rows of the planes that the weights need, while a window is prepared.
 struct Preparation {
+  const stream::Camera& camera;
   int width = 0, y0 = 0, rows = 0;
   std::vector<WindowPixel> pixels;
   SurfacePlanes surface;
   std::vector<float> cosv, edge;
   std::vector<std::uint8_t> masked, saturated;
   std::size_t size() const { return static_cast<std::size_t>(width) * static_cast<std::size_t>(rows); }
+  /// Diameter of the lens's blur, pixels; 0 where the focus is not known.
+  float blur_px(std::size_t i) const {
+    if (!(camera.focus.aperture > 0 && pixels[i].depth > 0)) return 0;
+    const auto across = static_cast<std::size_t>(width);
+    const auto direction = stream::unproject(camera.lens, {static_cast<double>(i % across) + 0.5, static_cast<double>(i / across) + y0 + 0.5});
+    return direction ? static_cast<float>(stream::blur_px(camera, direction->z() * static_cast<double>(pixels[i].depth))) : 0;
+  }
 };
 
 template <class Set>
@@ -65,12 +73,12 @@ std::vector<float> spread_of(const stream::RasterReader& gbuffer, int y0, int ro
   return gbuffer.has("spread") ? gbuffer.rows<float>("spread", y0, rows) : std::vector<float>();
 }
 
-PixelEvidence own_evidence(const WindowPixel& pixel, float spread, float coverage) {
-  return {.footprint = pixel.footprint, .sigma = std::hypot(pixel.sigma, pixel.shared), .spread = spread, .coverage = coverage};
+PixelEvidence own_evidence(const WindowPixel& pixel, float blur_px, float spread, float coverage) {
+  return {.footprint = pixel.footprint, .blur_px = blur_px, .sigma = std::hypot(pixel.sigma, pixel.shared), .spread = spread, .coverage = coverage};
 }
 
 /// Albedo, quality (kept in `weight` until the bands are split) and place on the surface of the pixels that may be used.
-void read_values(const PhotographRasters& rasters, Preparation& p, const stream::Lens& lens, const WindowOptions& options) {
+void read_values(const PhotographRasters& rasters, Preparation& p, const WindowOptions& options) {
   const stream::RasterReader& a = rasters.albedo();
   for_plane(a, "r", p, [&](std::size_t i, float v) { p.pixels[i].low.x() = v; });   // the albedo itself until the bands are split
   for_plane(a, "g", p, [&](std::size_t i, float v) { p.pixels[i].low.y() = v; });
@@ -84,13 +92,13 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const stream:
   parallel_blocks(p.size(), 1 << 14, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       WindowPixel& pixel = p.pixels[i];
-      const float quality = pixel_quality(own_evidence(pixel, spread.empty() ? 0 : spread[i], coverage[i]), options.scale());
+      const float blur_px = p.blur_px(i), quality = pixel_quality(own_evidence(pixel, blur_px, spread.empty() ? 0 : spread[i], coverage[i]), options.scale());
       if (!(pixel.depth > 0) || p.masked[i] || p.saturated[i] || !pixel.low.allFinite() || !pixel.normal.allFinite() || !std::isfinite(pixel.radius) ||
-          !(p.edge[i] > kMixedPixels) || !(p.cosv[i] > kLeastViewCos) || !(quality > 0))
+          !(p.edge[i] - 0.5f * blur_px > kMixedPixels) || !(p.cosv[i] > kLeastViewCos) || !(quality > 0))
         continue;
       const auto x = static_cast<int>(i % static_cast<std::size_t>(p.width)), y = static_cast<int>(i / static_cast<std::size_t>(p.width));
       const Vec2d middle(x + 0.5, y + p.y0 + 0.5);
-      const auto direction = stream::unproject(lens, middle);
+      const auto direction = stream::unproject(p.camera.lens, middle);
       if (!direction) continue;
       const float side = pixel.footprint / options.reference_footprint;
       p.surface.set(x, y, {Vec3f((*direction * static_cast<double>(pixel.depth)).cast<float>()), side * side / p.cosv[i], pixel.low, pixel.normal, p.cosv[i]});
@@ -110,7 +118,7 @@ class Surroundings {
   SurfaceMean mean(int x, int y) const { return surface_.mean(x, y, p_.pixels[index(x, y)].footprint); }
   void add(int x, int y, float cosv, PixelEvidence& e) const {
     e.cosv = cosv;
-    e.edge_px = p_.edge[index(x, y)];
+    e.edge_px = p_.edge[index(x, y)] - 0.5f * p_.blur_px(index(x, y));
     e.mask_px = to_mask_[index(x, y)];
     e.saturated_px = to_saturated_[index(x, y)];
   }
@@ -161,14 +169,14 @@ void split_bands(Preparation& p, const WindowOptions& options, int first, int la
 
 /// Rows [y0, y1) with their halo, up to where only their surroundings are missing.
 Preparation prepare(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int halo, const WindowOptions& options) {
-  Preparation p;
+  Preparation p{.camera = camera};
   p.width = rasters.width();
   p.y0 = std::max(0, y0 - halo + kPyramidRows - 1) / kPyramidRows * kPyramidRows;
   p.rows = std::min(rasters.height(), (y1 + halo) / kPyramidRows * kPyramidRows) - p.y0;
   p.pixels.resize(p.size());
   read_geometry(rasters, p);
   read_mask(rasters, p);
-  read_values(rasters, p, camera.lens, options);
+  read_values(rasters, p, options);
   return p;
 }
 
@@ -281,7 +289,7 @@ std::vector<SeenEvidence> load_evidence(const PhotographRasters& rasters, const 
       const WindowPixel& pixel = p.pixels[at];
       if (!(pixel.depth > 0)) continue;
       const SurfaceMean mean = around.mean(x, y);
-      all[i] = {own_evidence(pixel, spread.empty() ? 0 : spread[in_rows], coverage[in_rows]), true, pixel.weight > 0 && mean.valid};
+      all[i] = {own_evidence(pixel, p.blur_px(at), spread.empty() ? 0 : spread[in_rows], coverage[in_rows]), true, pixel.weight > 0 && mean.valid};
       around.add(x, y, mean.valid ? mean.cosv : p.cosv[at], all[i].evidence);
     }
   });

@@ -22,17 +22,18 @@ constexpr float kMostShadowDoubt = 0.5f;   ///< nearer to a shadow's edge a pixe
 struct Projected {
   std::uint32_t surfel;
   float u, v, distance;
+  float blur_px;   ///< diameter of the lens's blur
 };
 
 std::vector<Projected> project_all(const Proxy& proxy, const stream::Camera& camera) {
   std::vector<Projected> all(proxy.size());
   parallel_blocks(proxy.size(), 4096, [&](std::size_t b, std::size_t e) {
     for (std::size_t i = b; i < e; ++i) {
-      all[i] = {static_cast<std::uint32_t>(i), -1, -1, 0};
+      all[i] = {static_cast<std::uint32_t>(i), -1, -1, 0, 0};
       const Vec3d p = camera.pose.camera_from_world(proxy.position[i].cast<double>() + proxy.origin_in_world);
       const auto pixel = stream::project(camera.lens, p);
       if (pixel && pixel->x() >= 0 && pixel->y() >= 0 && pixel->x() < camera.lens.width_px && pixel->y() < camera.lens.height_px)
-        all[i] = {static_cast<std::uint32_t>(i), static_cast<float>(pixel->x()), static_cast<float>(pixel->y()), static_cast<float>(p.norm())};
+        all[i] = {static_cast<std::uint32_t>(i), static_cast<float>(pixel->x()), static_cast<float>(pixel->y()), static_cast<float>(p.norm()), static_cast<float>(stream::blur_px(camera, p.z()))};
     }
   });
   all.erase(std::remove_if(all.begin(), all.end(), [](const Projected& p) { return p.distance <= 0; }), all.end());
@@ -80,7 +81,7 @@ std::vector<float> visibility_votes(const Proxy& proxy, const ObserveInput& inpu
   for_each_projected(proxy, input, [&](const PhotoBand& band, const Projected& p) {
     const int x = static_cast<int>(p.u), y = static_cast<int>(p.v);
     const std::size_t i = band.at(x, y);
-    if (!(band.depth[i] > 0) || band.edge[i] < 1) return;
+    if (!(band.depth[i] > 0) || band.edge[i] < 1 + 0.5f * p.blur_px) return;
     const Vec3f offset = proxy.position[p.surfel] - pixel_point(input.camera, proxy.origin_in_world, x, y, band.depth[i]);
     if (!same_surface(band.normal(i), offset, band.footprint[i], proxy.radius[p.surfel], proxy.normal[p.surfel])) return;
     votes[p.surfel] = band.normal(i).dot(proxy.normal[p.surfel]) > 0 ? band.cosv[i] : -band.cosv[i];
@@ -103,7 +104,7 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
     const std::size_t s = p.surfel;
     const int cx = static_cast<int>(p.u), cy = static_cast<int>(p.v);
     const std::size_t middle = band.at(cx, cy);
-    if (!band.usable(middle) || band.edge[middle] < 1.5f || band.cosv[middle] < 0.1f) return;
+    if (!band.usable(middle) || band.edge[middle] < 1.5f + 0.5f * p.blur_px || band.cosv[middle] < 0.1f) return;
     const float radius_px = proxy.radius[s] / band.footprint[middle];
     const float reach = std::clamp(0.8f * radius_px, 1.0f, static_cast<float>(kMaxReach));
     const int half = static_cast<int>(std::ceil(reach));
@@ -133,9 +134,9 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
     double variance = 0, noise_alone = 0;
     for (int c = 0; c < 3; ++c) {
       const double noise = (input.noise.gain * mean[c] + input.noise.read_sigma * input.noise.read_sigma) * f.squares / (f.weight * f.weight);
-      // Scatter of the pixels stands for the image gradient: a shift of kRegistrationPx moves the mean by that share of it.
+      // Scatter of the pixels stands for the image gradient: a shift of kRegistrationPx, or what the lens spreads, moves the mean by that share of it.
       const double scatter = std::max(0.0, f.colour2[c] / f.weight - mean[c] * mean[c]);
-      const double shift = static_cast<double>(kRegistrationPx / reach);
+      const double shift = static_cast<double>(std::hypot(kRegistrationPx, 0.25f * p.blur_px) / reach);
       noise_alone += noise / (mean[c] * mean[c]) / 3;
       variance += (noise + scatter * shift * shift) / (mean[c] * mean[c]) / 3;
     }

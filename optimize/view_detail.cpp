@@ -41,6 +41,7 @@ struct PhotoRows {
 /// Where a pixel of the view lies in a photograph.
 struct Place {
   float u = 0, v = 0, distance = -1;   ///< pixels, middles at integers; distance from the photograph's camera; < 0: nowhere
+  float blur_px = 0;                   ///< diameter of the lens's blur there
 };
 
 /// Weighted sums over the photographs.
@@ -73,14 +74,14 @@ struct Four {
 void add_sample(const PhotoRows& photo, const Place& at, const Vec2f& shift_px, float radius, Sum& sum) {
   const auto surface = Four::around(photo, at.u, at.v), shown = Four::around(photo, at.u + shift_px.x(), at.v + shift_px.y());
   if (!surface || !shown) return;
-  const float footprint = photo.footprint[surface->first], edge = surface->least(photo.edge);
+  const float footprint = photo.footprint[surface->first], edge = surface->least(photo.edge) - 0.5f * at.blur_px;
   if (!(footprint > 0) || footprint > radius || edge < kLeastEdge) return;
   if (std::fabs(surface->mean(photo.depth) - at.distance) > kDepthFootprints * footprint) return;
   const Vec3f albedo(shown->mean(photo.r), shown->mean(photo.g), shown->mean(photo.b));
   const float sigma = shown->mean(photo.sigma);
   if (!(albedo.sum() >= 0) || !(sigma >= 0)) return;   // NaN: no value at one of the four
   const float resolution = photo.cosv[surface->first] / footprint;
-  const float strength = resolution * resolution * std::min(1.0f, edge / kFullWeightFromEdge) / (sigma * sigma + kSigmaFloor * kSigmaFloor);
+  const float strength = resolution * resolution * stream::focus_share(at.blur_px) * std::min(1.0f, edge / kFullWeightFromEdge) / (sigma * sigma + kSigmaFloor * kSigmaFloor);
   sum.albedo += albedo * strength;
   sum.strength += strength;
 }
@@ -104,11 +105,12 @@ class Lookup {
   Place place(int x, int row, double dx, double dy) const {
     const auto p = point(x, row, dx, dy);
     if (!p) return {};
-    const auto pixel = stream::project(camera_.lens, camera_.pose.camera_from_world(*p));
+    const Vec3d in_camera = camera_.pose.camera_from_world(*p);
+    const auto pixel = stream::project(camera_.lens, in_camera);
     if (!pixel) return {};
     const double u = pixel->x() - 0.5, v = pixel->y() - 0.5;
     if (!(u >= 0 && v >= 0 && u < camera_.lens.width_px - 1 && v < camera_.lens.height_px - 1)) return {};
-    return {static_cast<float>(u), static_cast<float>(v), static_cast<float>((*p - centre_).norm())};
+    return {static_cast<float>(u), static_cast<float>(v), static_cast<float>((*p - centre_).norm()), static_cast<float>(stream::blur_px(camera_, in_camera.z()))};
   }
 
   /// False where none of some of the pixels falls into the photograph: most photographs of an acquisition see nothing of a few rows.

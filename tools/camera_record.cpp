@@ -47,6 +47,7 @@ stream::Camera camera_from(const Json& j, const std::filesystem::path& file) {
   for (int r = 0; r < 3; ++r)
     for (int k = 0; k < 3; ++k) c.pose.rotation_camera_from_world(r, k) = pose.at("rotation_camera_from_world").at(static_cast<std::size_t>(r)).at(static_cast<std::size_t>(k));
   for (int k = 0; k < 3; ++k) c.pose.translation_camera_from_world[k] = pose.at("translation_camera_from_world").at(static_cast<std::size_t>(k));
+  if (j.contains("focus")) c.focus = {j.at("focus").at("aperture").get<double>(), j.at("focus").at("distance").get<double>()};
   stream::check_camera(c, concat(file.string(), ": ", c.photograph));
   return c;
 }
@@ -58,6 +59,7 @@ void write_camera_record(const std::filesystem::path& file, const std::vector<Ph
   for (const PhotographCamera& c : cameras) {
     list.push_back({{"photograph", c.camera.photograph}, {"acquisition", c.acquisition}, {"lens", lens_json(c.camera.lens)}, {"pose", pose_json(c.camera.pose)},
                     {"gain", numbers_json(c.gain)}, {"shift_px", numbers_json(c.shift_px)}, {"trust", c.trust}});
+    if (const stream::Focus& f = c.camera.focus; f.aperture > 0) list.back()["focus"] = {{"aperture", f.aperture}, {"distance", f.distance}};
     if (c.flash_in_camera) list.back()["flash_in_camera"] = numbers_json(std::span(c.flash_in_camera->data(), 3));
   }
   write_text(file, Json{{"cameras", list}}.dump(1) + "\n");

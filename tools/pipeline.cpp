@@ -41,6 +41,7 @@ Hasher& add_camera(Hasher& h, const stream::Camera& c) {
   for (const double v : l.p) h.add(v);
   for (int i = 0; i < 9; ++i) h.add(c.pose.rotation_camera_from_world.data()[i]);
   for (int i = 0; i < 3; ++i) h.add(c.pose.translation_camera_from_world[i]);
+  if (c.focus.aperture > 0) h.add("focus").add(c.focus.aperture).add(c.focus.distance);
   return h;
 }
 
@@ -174,6 +175,7 @@ class Pipeline {
         photo.index_in_acquisition = i;
         photo.camera = *camera;
         photo.camera.photograph = p.key;
+        if (a.focus) photo.camera.focus = {a.focus->focal_length / a.focus->f_number, a.focus->distance};
         shoot.photos.push_back(std::move(photo));
       }
       shoots_.push_back(std::move(shoot));

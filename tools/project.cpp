@@ -104,6 +104,22 @@ void read_noise(const toml::node& node, const std::string& key, std::optional<No
   noise = values;
 }
 
+void read_focus(const toml::node& node, const std::string& key, std::optional<FocusInput>& focus) {
+  const Section section(as_table(node, key), key, {"distance", "f_number", "focal_length"});
+  FocusInput values;
+  const auto read = [&](const char* name, const char* what, double& value) {
+    const toml::node& number = section.need(name, what);
+    value = as_number(number, concat(key, '.', name));
+    if (!(value > 0)) fail(number, concat(key, '.', name, ": expected a number above 0, found ", value));
+  };
+  read("distance", "how far from the camera the plane in focus lies, in project units", values.distance);
+  read("f_number", "what the aperture was set to, e.g. 8", values.f_number);
+  read("focal_length", "of the lens, in project units, e.g. 0.05 for 50 mm in metres", values.focal_length);
+  if (!(values.distance > values.focal_length))
+    fail(node, concat(key, ": a lens of focal length ", values.focal_length, " cannot be focused at distance ", values.distance, "; both are in project units"));
+  focus = values;
+}
+
 void read_flash(const toml::node& node, const std::string& key, std::optional<FlashInput>& flash) {
   const Section section(as_table(node, key), key, {"offset_in_camera", "intensity_range"});
   FlashInput values;
@@ -212,7 +228,7 @@ void read_floor_plane(const toml::node& node, Acquisition& acquisition) {
 }
 
 Acquisition read_acquisition(const toml::table& table, std::size_t number, const fs::path& folder, std::vector<std::string>& notes) {
-  const Section section(table, "acquisition", {"name", "role", "photographs", "encoding", "masks", "cameras", "noise", "flash", "ambient", "reference", "exposure_s", "lights_of"});
+  const Section section(table, "acquisition", {"name", "role", "photographs", "encoding", "masks", "cameras", "noise", "flash", "focus", "ambient", "reference", "exposure_s", "lights_of"});
   Acquisition acquisition;
   acquisition.name = concat("acquisition", number + 1);
   section.text("name", acquisition.name);
@@ -237,6 +253,7 @@ Acquisition read_acquisition(const toml::table& table, std::size_t number, const
   if (!fs::exists(acquisition.cameras, code)) fail(cameras, concat("acquisition.cameras: no such file or folder: ", acquisition.cameras.string()));
   if (const toml::node* noise = section.find("noise")) read_noise(*noise, "acquisition.noise", acquisition.noise);
   if (const toml::node* flash = section.find("flash")) read_flash(*flash, "acquisition.flash", acquisition.flash);
+  if (const toml::node* focus = section.find("focus")) read_focus(*focus, "acquisition.focus", acquisition.focus);
   if (const toml::node* ambient = section.find("ambient")) {
     const Section light(as_table(*ambient, "acquisition.ambient"), "acquisition.ambient", {"model", "floor"});
     light.choice("model", acquisition.ambient);

@@ -57,6 +57,11 @@ struct FlashInput {
   std::optional<std::array<double, 2>> intensity_range;  ///< W/sr in the photographs' radiometric unit, 0 < min <= max, about +-2 sigma; absent: unknown
 };
 
+/// What the lenses were set to.
+struct FocusInput {
+  double f_number = 0, focal_length = 0, distance = 0;   ///< > 0; lengths in project units, distance > focal_length: of the plane in focus from the camera
+};
+
 struct ReferenceInput {
   std::size_t photograph = 0;                ///< index in the acquisition's photographs
   std::vector<Vec2d> polygon;                ///< pixels, corners at integers; at least 3 vertices, area > 0
@@ -80,6 +85,7 @@ struct Acquisition {
   std::filesystem::path cameras;             ///< absolute; exists
   std::optional<NoiseInput> noise;           ///< absent: estimated
   std::optional<FlashInput> flash;           ///< absent: no flash
+  std::optional<FocusInput> focus;           ///< absent: taken as sharp everywhere
   std::vector<ReferenceInput> references;
   AmbientModel ambient = AmbientModel::kAuto;
   FloorModel floor = FloorModel::kAuto;

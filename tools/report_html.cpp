@@ -277,8 +277,8 @@ void how_to_read(Page& page, const ReportData& d) {
   if (d.weights)
     say("What its pixels count in the blend", concat("One picture for each criterion, all on one scale from 0 to 100 %; bright is good, black pixels are not used. Resolution and the weight, which is the product of all, are "
                                                      "ratios w, drawn as w / (1 + w): half of the scale is a pixel of the typical size (", number(static_cast<double>(d.weights->reference_footprint)),
-                                                     " units of the project on the surface) against which nothing speaks. Only ratios between photographs of a point matter. There is no criterion for focus: ",
-                                                     "what aperture and distance the lens was set to is not known."));
+                                                     " units of the project on the surface) against which nothing speaks. Only ratios between photographs of a point matter. Focus counts where the ",
+                                                     "project says what the lens was set to (acquisition.focus)."));
   say("Chequered grey", "No value: outside the mask, not on the cloud, saturated, or too dark to tell; in the prediction also where no photograph sees the surface well enough.");
   page.close("dl");
 }

@@ -250,6 +250,12 @@ std::optional<Vec3d> unproject(const Lens& lens, const Vec2d& pixel) {
   return Vec3d(x * sinc, y * sinc, std::cos(theta));
 }
 
+double blur_px(const Camera& camera, double depth_along_axis) {
+  const Focus& focus = camera.focus;
+  if (!(focus.aperture > 0 && depth_along_axis > 0)) return 0;
+  return focus.aperture * 0.5 * (camera.lens.fx + camera.lens.fy) * std::abs(1 / focus.distance - 1 / depth_along_axis);
+}
+
 void check_camera(Camera& camera, const std::string& where) {
   const auto fail = [&](const auto&... what) { throw Error(concat(where, ": camera \"", camera.photograph, "\": ", what...)); };
   const Lens& lens = camera.lens;
@@ -263,6 +269,9 @@ void check_camera(Camera& camera, const std::string& where) {
     if (!std::isfinite(v)) fail("radial distortion is not finite");
   for (const double v : lens.p)
     if (!std::isfinite(v)) fail("tangential distortion is not finite");
+  const Focus& focus = camera.focus;
+  if (!(focus.aperture >= 0 && std::isfinite(focus.aperture)) || (focus.aperture > 0 && !(focus.distance > 0)))
+    fail("focus: aperture ", focus.aperture, " at distance ", focus.distance, ", expected an aperture of 0 or more and a distance above 0");
   Mat3d& rotation = camera.pose.rotation_camera_from_world;
   if (!rotation.allFinite() || !camera.pose.translation_camera_from_world.allFinite()) fail("its pose is not finite");
   const double deviation = (rotation * rotation.transpose() - Mat3d::Identity()).cwiseAbs().maxCoeff();

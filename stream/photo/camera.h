@@ -37,10 +37,17 @@ struct Pose {
   Vec3d world_from_camera(const Vec3d& p_in_camera) const { return rotation_camera_from_world.transpose() * (p_in_camera - translation_camera_from_world); }
 };
 
+/// What the lens was set to. aperture 0: not known, or sharp everywhere.
+struct Focus {
+  double aperture = 0;   ///< diameter of the entrance pupil (focal length / f-number), project units
+  double distance = 0;   ///< of the plane in focus from the camera's centre, along its axis, project units
+};
+
 struct Camera {
   std::string photograph;  ///< name as the camera file gives it, e.g. "photo_00.exr" or "IMG_1234" (Metashape labels may lack the extension)
   Lens lens;
   Pose pose;
+  Focus focus{};
 };
 
 /// Pixel coordinates of a point in the camera frame; nullopt behind the camera (a fisheye also sees beyond 90 degrees) or where the lens model folds back (beyond its monotonic range).
@@ -49,6 +56,13 @@ std::optional<Vec2d> project(const Lens& lens, const Vec3d& p_in_camera);
 
 /// Unit direction in the camera frame of a pixel coordinate: the inverse of project(), by Newton iteration to 1e-10; nullopt where it does not converge.
 std::optional<Vec3d> unproject(const Lens& lens, const Vec2d& pixel);
+
+/// Diameter, in pixels, of the disc into which the lens spreads a point at that depth (along the axis): aperture f |1 / distance - 1 / depth|, f the calibrated
+/// focal length in pixels, which is the image's distance. source: thin lens. 0 where the focus is not known.
+double blur_px(const Camera& camera, double depth_along_axis);
+
+/// How many times smaller the spot of a pixel in focus is, as an area: variances of pixel (1/12) and disc (diameter^2 / 16) add up.
+inline float focus_share(float blur_px) { return 1 / (1 + 0.75f * blur_px * blur_px); }
 
 /// throws Error naming the camera if a value is not finite, a focal length or size not positive, or the rotation not orthonormal to 1e-4 (then re-orthonormalised).
 void check_camera(Camera& camera, const std::string& where);

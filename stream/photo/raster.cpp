@@ -180,6 +180,7 @@ RasterReader::RasterReader(const std::filesystem::path& path) : impl_(std::make_
     impl_->file.read_at(sizeof header + i * sizeof record, &record, sizeof record);
     record.name[31] = 0;
     if (record.type > 3) throw Error(concat(path.string(), ": plane ", i, " has type ", record.type, ", expected 0 to 3"));
+    if (has(record.name)) throw Error(concat(path.string(), ": planes ", i, " and one before it are both called \"", record.name, "\""));
     layout.planes.push_back({record.name, static_cast<PlaneType>(record.type)});
   }
   layout.place();
@@ -203,8 +204,9 @@ bool RasterReader::has(std::string_view plane) const {
 void RasterReader::read_rows(std::string_view plane, int y0, int rows, std::span<std::byte> bytes) const {
   const Layout& layout = impl_->layout;
   const std::size_t i = layout.index(plane, impl_->file.path());
-  if (y0 < 0 || rows < 0 || y0 + rows > layout.height || bytes.size() != layout.row_bytes(i) * static_cast<std::uint64_t>(rows))
-    throw std::invalid_argument("RasterReader::read_rows: rows outside the image, or wrong type");
+  if (y0 < 0 || rows < 0 || y0 + rows > layout.height) throw std::invalid_argument("RasterReader::read_rows: rows outside the image");
+  if (bytes.size() != layout.row_bytes(i) * static_cast<std::uint64_t>(rows))
+    throw Error(concat(impl_->file.path().string(), ": plane \"", plane, "\" has ", layout.row_bytes(i), " bytes a row, expected ", rows > 0 ? bytes.size() / static_cast<std::uint64_t>(rows) : bytes.size()));
   if (rows == 0) return;
   for (int band = y0 / kCrcRows; band <= (y0 + rows - 1) / kCrcRows; ++band) impl_->check(i * layout.num_bands() + static_cast<std::size_t>(band));
   impl_->file.read_at(layout.offsets[i] + layout.row_bytes(i) * static_cast<std::uint64_t>(y0), bytes.data(), bytes.size());

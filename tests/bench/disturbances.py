@@ -2,6 +2,7 @@
 import re
 
 import numpy as np
+from scipy.ndimage import convolve
 from scipy.spatial.transform import Rotation
 
 import scene_copy
@@ -125,6 +126,40 @@ def overexposed(scene, copy, times):
     scene_copy.write_exr(copy / "photos" / photo.name, np.minimum(picture * times, np.quantile(picture, 0.9999)))
 
 
+def through_lens(picture, depth, focal_px, aperture, distance):
+    """Each pixel the mean of the picture over the disc into which a lens focused at `distance` spreads a point at its depth; two kernels are mixed where the disc lies between them."""
+    diameter = focal_px * aperture * np.abs(1 / distance - 1 / np.where(depth > 0, depth, distance))
+    steps = np.arange(0, np.ceil(diameter.max()) + 1)
+    result = np.zeros_like(picture)
+    for d in steps:
+        share = np.clip(1 - np.abs(diameter - d), 0, 1)[..., None]
+        if not share.any():
+            continue
+        half = int(np.ceil(d / 2))
+        fine = (np.arange(-8 * half - 4, 8 * half + 4) + 0.5) / 8   # eight samples a pixel
+        disc = (fine[:, None] ** 2 + fine**2 <= max(d / 2, 0.1) ** 2).reshape(2 * half + 1, 8, 2 * half + 1, 8).sum((1, 3)).astype(float)
+        result += share * np.stack([convolve(picture[..., c], disc / disc.sum(), mode="nearest") for c in range(3)], -1)
+    return result
+
+
+def defocus(scene, copy, millimetres, declared=True):
+    """All photographs through an aperture of that diameter (a 35 mm lens at f/2.9 has 12), focused once at the median depth of all; the project file says so, or does not."""
+    if millimetres == 0:
+        return
+    depths = {p: scene_copy.read_exr_channel(scene / "truth" / (p.stem + "_depth.exr")) for p in photographs_of(scene)}
+    focal = float([l for l in (scene / "sparse/cameras.txt").read_text().splitlines() if not l.startswith("#")][0].split()[4])
+    distance = float(np.median(np.concatenate([d[d > 0] for d in depths.values()])))
+    for photo, depth in depths.items():
+        scene_copy.write_exr(copy / "photos" / photo.name, through_lens(scene_copy.read_exr(photo), depth, focal, millimetres / 1000, distance))
+    if declared:
+        focus = "focus = { distance = %.6g, f_number = %.6g, focal_length = 0.035 }" % (distance, 35 / millimetres)
+        edit_project(copy, lambda text: re.sub(r"(?m)^(\[\[acquisition\]\])", lambda m: m.group(1) + "\n" + focus, text))
+
+
+def defocus_unknown(scene, copy, millimetres):
+    defocus(scene, copy, millimetres, declared=False)
+
+
 # name: (what is done, unit, levels, level that changes nothing)
 ALL = {
     "normals_each": (normals_each, "degrees, each normal by itself", [1, 2, 5], 0),
@@ -134,5 +169,7 @@ ALL = {
     "read_noise": (read_noise, "times the read noise, declared", [3, 10], 1),
     "interval": (interval, "times the calibrated range", [1 / 1.2, 1 / 1.1, 1.1, 1.2], 1),
     "ambient": (ambient, "times the ambient light, first photograph", [1.5, 2], 1),
+    "defocus": (defocus, "mm of aperture, focus at the median depth, declared", [6, 12], 0),
+    "defocus_unknown": (defocus_unknown, "mm of aperture, not declared", [6, 12], 0),
     "overexposed": (overexposed, "times the exposure, first photograph, clipped", [2, 4], 1),
 }

@@ -14,6 +14,11 @@ def read_exr(path):
     return (np.asarray(channels["RGB"].pixels) if "RGB" in channels else np.stack([channels[c].pixels for c in "RGB"], -1)).astype(np.float32)
 
 
+def read_exr_channel(path):
+    """The only channel of a file, height x width."""
+    return np.asarray(next(iter(OpenEXR.File(str(path)).channels().values())).pixels, dtype=np.float32)
+
+
 def write_exr(path, picture):
     """Half floats, in place of what is there: a link is not followed."""
     Path(path).unlink(missing_ok=True)

@@ -146,6 +146,9 @@ TEST(ViewWeights, EachCriterionPrefersTheBetterPixelAndSurvivesBadInput) {
   EXPECT_EQ(angle_weight(0.15f), 0);
   EXPECT_FLOAT_EQ(footprint_weight(0.5f, 1), 4);
   EXPECT_EQ(footprint_weight(0, 1), 0);
+  EXPECT_EQ(focus_weight(0), 1);
+  EXPECT_GT(focus_weight(1), 1.5f * focus_weight(2));
+  EXPECT_GT(focus_weight(1e6f), 0);
   EXPECT_GT(sigma_weight(0.01f), sigma_weight(0.1f));
   EXPECT_EQ(sigma_weight(0), 1);
   EXPECT_EQ(sigma_weight(std::nanf("")), sigma_weight(1));
@@ -156,7 +159,7 @@ TEST(ViewWeights, EachCriterionPrefersTheBetterPixelAndSurvivesBadInput) {
 
 TEST(ViewWeights, TheProductHoldsEachCriterionOnce) {
   const WeightScale scale{.footprint = 0.5f, .border_px = 12};
-  const PixelEvidence pixel{.footprint = 0.4f, .sigma = 0.03f, .spread = 0.05f, .coverage = 0.97f, .cosv = 0.6f, .edge_px = 7, .mask_px = 5, .saturated_px = 2};
+  const PixelEvidence pixel{.footprint = 0.4f, .blur_px = 0.8f, .sigma = 0.03f, .spread = 0.05f, .coverage = 0.97f, .cosv = 0.6f, .edge_px = 7, .mask_px = 5, .saturated_px = 2};
   float product = 1;
   std::set<std::string_view> names;
   for (const Criterion& c : kCriteria) {

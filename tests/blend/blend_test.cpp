@@ -263,9 +263,35 @@ TEST(Blend, TheSharperPhotographDecidesTheDetail) {
   EXPECT_LT(error(), 1.1 * near_alone);
 }
 
+TEST(Blend, APhotographOutOfFocusDoesNot) {
+  AnalyticScene scene = plane_scene();
+  scene.albedo = [](const Vec3d& p) { return Vec3f::Constant(static_cast<float>(0.5 + 0.3 * std::sin(2 * 3.14159265 * p.x() / 0.05))); };
+  const Workplace w(scene);
+  ShotOptions blurred;   // stripes of 15 pixels from near, under a blur of 30: nothing is left of them
+  blurred.paint = [](int, int, const Vec3f&) { return Vec3f::Constant(0.5f); };
+  auto near = w.photograph("near", Vec3d(0.5, 0.5, 0.5), Vec3d(0.5, 0.5, 0), blurred);
+  const auto far = w.photograph("far", Vec3d(0.5, 0.5, 1.2), Vec3d(0.5, 0.5, 0));
+  const auto error = [&] {
+    double sum = 0;
+    int n = 0;
+    for (const Seen& s : w.result())
+      if (std::abs(s.position.x() - 0.5) < 0.1 && std::abs(s.position.y() - 0.5) < 0.1) sum += std::abs(s.albedo[0] - scene.albedo(s.position)[0]), ++n;
+    return sum / n;
+  };
+  w.run({far});
+  const double far_alone = error();
+  w.run({near, far});
+  const double not_known = error();
+  near.camera.focus = {0.17, 1.2};   // 150 px * 0.17 * |1 / 1.2 - 1 / 0.5| = 30 px
+  w.run({near, far});
+  EXPECT_GT(not_known, 4 * far_alone);
+  EXPECT_LT(error(), 1.1 * far_alone + 0.001);
+}
+
 TEST(Blend, AWindowsPixelsDoNotDependOnWhereItBegins) {
   const Workplace w(plane_scene());
-  const BlendPhotograph a = w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.4, 0.5, 0));
+  BlendPhotograph a = w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.4, 0.5, 0));
+  a.camera.focus = {0.03, 1};
   const PhotographRasters rasters(a.camera.lens, a.gbuffer, a.albedo, a.radiance);
   const WindowOptions options{.low_radius = 0.05f, .reference_footprint = 0.005f, .border_px = 12};
   const int halo = halo_rows(options, footprints(rasters).smallest());
@@ -284,7 +310,8 @@ TEST(Blend, EvidenceOfAPixelMultipliesToItsWeight) {
   const Workplace w(plane_scene());
   ShotOptions shot;
   shot.mask = [](int x, int y) -> std::uint8_t { return x > 120 ? 0 : y > 100 ? 1 | 2 : 1; };
-  const BlendPhotograph a = w.photograph("a", Vec3d(0.1, 0.5, 0.5), Vec3d(0.3, 0.5, 0), shot);
+  BlendPhotograph a = w.photograph("a", Vec3d(0.1, 0.5, 0.5), Vec3d(0.3, 0.5, 0), shot);
+  a.camera.focus = {0.03, 1};
   const PhotographRasters rasters(a.camera.lens, a.gbuffer, a.albedo, a.radiance);
   const WindowOptions options{.low_radius = 0.05f, .reference_footprint = 0.005f, .border_px = 12};
   const int halo = halo_rows(options, footprints(rasters).smallest());

@@ -18,10 +18,12 @@ std::vector<PhotographCamera> two_cameras() {
   a.camera.pose.rotation_camera_from_world << 0.8, -0.6, 0, 0.6, 0.8, 0, 0, 0, 1;
   a.camera.pose.translation_camera_from_world = {0.1, 1.0 / 3, -2.5};
   a.flash_in_camera = Vec3d(0.13, -0.16, 0.03);
+  a.camera.focus = {0.0125, 2};
   PhotographCamera b = a;
   b.camera.photograph = "photo_01";
   b.camera.lens.kind = stream::LensKind::kFisheye;
   b.flash_in_camera.reset();
+  b.camera.focus = {};
   b.gain = {1.25, 1.3, 1.0 / 3};
   b.shift_px = {-2, 0.125};
   b.trust = 0.4;
@@ -47,13 +49,15 @@ TEST_F(CameraRecord, ReadsBackWhatWasWritten) {
     EXPECT_TRUE(found[i].camera.pose.rotation_camera_from_world.isApprox(wanted[i].camera.pose.rotation_camera_from_world, 1e-12));
     EXPECT_EQ(found[i].camera.pose.translation_camera_from_world, wanted[i].camera.pose.translation_camera_from_world);
     EXPECT_EQ(found[i].flash_in_camera, wanted[i].flash_in_camera);
+    EXPECT_EQ(found[i].camera.focus.aperture, wanted[i].camera.focus.aperture);
+    EXPECT_EQ(found[i].camera.focus.distance, wanted[i].camera.focus.distance);
     EXPECT_EQ(std::tie(found[i].gain, found[i].shift_px, found[i].trust), std::tie(wanted[i].gain, wanted[i].shift_px, wanted[i].trust));
   }
 }
 
 TEST_F(CameraRecord, RefusesADamagedOne) {
   const std::string whole = read_text(file_);
-  for (const auto& [from, to] : std::vector<std::pair<std::string, std::string>>{{"photo_01", "../secret"}, {"fisheye", "pinhole"}, {"611.5", "-611.5"}, {"\"skew\"", "\"askew\""}, {"[\n", "{\n"}}) {
+  for (const auto& [from, to] : std::vector<std::pair<std::string, std::string>>{{"photo_01", "../secret"}, {"fisheye", "pinhole"}, {"611.5", "-611.5"}, {"\"skew\"", "\"askew\""}, {"\"aperture\": 0.0125", "\"aperture\": -1"}, {"[\n", "{\n"}}) {
     std::string damaged = whole;
     damaged.replace(damaged.find(from), from.size(), to);
     write_text(file_, damaged);

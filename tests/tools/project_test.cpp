@@ -41,6 +41,11 @@ noise       = { gain = 1e-4, read_sigma = 4e-4 }
 offset_in_camera    = [0.13, -0.16, 3]
 intensity_range     = [25.0, 34]
 
+[acquisition.focus]
+distance     = 1500
+f_number     = 8
+focal_length = 35
+
 [[acquisition.reference]]
 photograph = "photo_9"
 polygon    = [[124, 260], [133, 260], [133, 269], [124, 269]]
@@ -144,13 +149,17 @@ TEST_F(ProjectTest, ReadsEveryKey) {
   EXPECT_EQ(day.references[0].polygon[2], Vec2d(133, 269));
   EXPECT_EQ(day.references[0].albedo[2], 1);
   EXPECT_EQ(day.references[0].sigma, 0.02);
+  ASSERT_TRUE(day.focus);
+  EXPECT_EQ(day.focus->distance, 1500);
+  EXPECT_EQ(day.focus->f_number, 8);
+  EXPECT_EQ(day.focus->focal_length, 35);
   EXPECT_EQ(day.ambient, AmbientModel::kSh1);
   EXPECT_EQ(day.floor, FloorModel::kAuto);
   EXPECT_EQ(load(changed("model = \"sh1\"", "floor = [0, 0, 2, -1]")).acquisitions[0].floor_plane, (std::array<double, 4>{0, 0, 2, -1}));
   const Acquisition& night = p.acquisitions[1];
   EXPECT_EQ(night.role, AcquisitionRole::kNoFlash);
   EXPECT_EQ(night.encoding, Encoding::kLinear) << "by the extension";
-  EXPECT_FALSE(night.flash || night.noise);
+  EXPECT_FALSE(night.flash || night.noise || night.focus);
   EXPECT_EQ(night.photographs[0].key, "night.photo_1");
   EXPECT_EQ(day.exposure_s, 8e-3);
   EXPECT_EQ(night.exposure_s, 0.5);
@@ -187,12 +196,12 @@ TEST_F(ProjectTest, HasDefaultsForAllButTheInputs) {
 TEST_F(ProjectTest, NamesPositionAndNearestKey) {
   EXPECT_EQ(complaint(changed("intensity_range ", "intensity_rang ")),
             "project.toml:22:1: unknown key \"intensity_rang\" in [acquisition.flash]; did you mean \"intensity_range\"?");
-  EXPECT_EQ(complaint(changed("[solve]", "[slove]")), "project.toml:40:2: unknown key \"slove\"; did you mean \"solve\"?");
-  EXPECT_EQ(complaint(changed("\"single\"", "\"singel\"")), "project.toml:41:10: solve.method: unknown value \"singel\"; did you mean \"single\"?");
+  EXPECT_EQ(complaint(changed("[solve]", "[slove]")), "project.toml:45:2: unknown key \"slove\"; did you mean \"solve\"?");
+  EXPECT_EQ(complaint(changed("\"single\"", "\"singel\"")), "project.toml:46:10: solve.method: unknown value \"singel\"; did you mean \"single\"?");
   EXPECT_EQ(complaint(changed("photographs = ", "photograps = ")),
             "project.toml:13:1: unknown key \"photograps\" in [acquisition]; did you mean \"photographs\"?");
   EXPECT_EQ(complaint(changed("\"photo_9\"", "\"photo_8\"")),
-            "project.toml:25:14: acquisition.reference.photograph: \"photo_8\" is none of the photographs of \"day1\"; did you mean \"photo_1\"?");
+            "project.toml:30:14: acquisition.reference.photograph: \"photo_8\" is none of the photographs of \"day1\"; did you mean \"photo_1\"?");
   EXPECT_THAT(complaint("[cloud\n"), HasSubstr("project.toml:"));
   EXPECT_THAT(complaint(changed("[cloud]", "[cloud]\nfiles = 1\n")), HasSubstr("project.toml:8:"));
 }
@@ -239,6 +248,14 @@ TEST_F(ProjectTest, RefusesWrongKindsAndValues) {
   expect("[run]", "run = 3\n[ran]", "unknown key \"ran\"");
   EXPECT_THAT(complaint(""), HasSubstr("cloud is missing"));
   EXPECT_THAT(complaint("[cloud]\nfiles='cloud.ply'"), HasSubstr("acquisition is missing"));
+}
+
+TEST_F(ProjectTest, RefusesLensesThatCannotBe) {
+  const auto expect = [&](const char* from, const char* to, const char* message) { EXPECT_THAT(complaint(changed(from, to)), HasSubstr(message)) << to; };
+  expect("f_number     = 8", "f_number = 0", "acquisition.focus.f_number: expected a number above 0, found 0");
+  expect("f_number     = 8\n", "", "f_number");
+  expect("distance     = 1500", "distance = 30", "a lens of focal length 35 cannot be focused at distance 30");
+  expect("focal_length = 35", "focal = 35", "did you mean \"focal_length\"?");
 }
 
 TEST_F(ProjectTest, RefusesLightsThatCannotBeShared) {

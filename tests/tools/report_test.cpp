@@ -306,7 +306,7 @@ TEST(Report, ShowsWhatEachCriterionSaysOfThePixels) {
   for (const blend::Criterion& c : blend::kCriteria) {
     EXPECT_EQ(count_of(page, concat("<b>", c.name, "</b>\nbright: ", c.bright)), 2u) << c.name;
   }
-  EXPECT_THAT(page, HasSubstr("There is no criterion for focus"));
+  EXPECT_THAT(page, HasSubstr("Focus counts where the project says what the lens was set to"));
 }
 
 TEST(Report, DrawsWeightsWhereTheyBelong) {

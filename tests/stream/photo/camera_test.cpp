@@ -171,7 +171,27 @@ TEST(Camera, CheckRepairsSmallAndRefusesLargeDeviations) {
   EXPECT_NE(refusal([](Camera& c) { c.lens.fx = 0; }).find("focal length 0"), std::string::npos);
   EXPECT_NE(refusal([](Camera& c) { c.lens.k[2] = INFINITY; }).find("radial"), std::string::npos);
   EXPECT_NE(refusal([](Camera& c) { c.lens.width_px = 0; }).find("size 0 x 480"), std::string::npos);
+  EXPECT_NE(refusal([](Camera& c) { c.focus = {0.01, 0}; }).find("focus: aperture 0.01 at distance 0"), std::string::npos);
+  EXPECT_NE(refusal([](Camera& c) { c.focus = {-0.01, 1}; }).find("focus"), std::string::npos);
   EXPECT_NE(refusal([](Camera& c) { c.lens.width_px = 0; }).find("file.txt: camera \"a.jpg\""), std::string::npos);
+}
+
+TEST(Camera, BlurIsThatOfAThinLens) {
+  Camera camera;
+  camera.lens = random_lens(1);
+  camera.lens.fx = camera.lens.fy = 600;
+  EXPECT_EQ(blur_px(camera, 2), 0) << "not known";
+  camera.focus = {0.05 / 4, 2};   // 50 mm at f/4, focused at 2 m
+  EXPECT_EQ(blur_px(camera, 2), 0);
+  EXPECT_NEAR(blur_px(camera, 4), 600 * 0.0125 * 0.25, 1e-12);
+  EXPECT_NEAR(blur_px(camera, 1), 600 * 0.0125 * 0.5, 1e-12);
+  EXPECT_NEAR(blur_px(camera, 1e12), 600 * 0.0125 / 2, 1e-6);
+  EXPECT_EQ(blur_px(camera, 0), 0);
+  // The same by the lens equation on the sensor: images of both planes, and the cone of rays between them; the sensor is 600 pixels from the lens.
+  const double focal = 0.05, sensor = 1 / (1 / focal - 1 / 2.0), image = 1 / (1 / focal - 1 / 3.0);
+  EXPECT_NEAR(blur_px(camera, 3), 0.0125 * std::abs(sensor - image) / image * 600 / sensor, 1e-9);
+  EXPECT_FLOAT_EQ(focus_share(0), 1);
+  EXPECT_FLOAT_EQ(focus_share(2), 1 / (1 + 4.0f * 12 / 16));   // variances: of a disc d^2 / 16, of a pixel 1 / 12
 }
 
 TEST(Camera, ScaledLensSeesTheSameRays) {

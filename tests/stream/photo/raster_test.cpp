@@ -54,6 +54,17 @@ TEST(Raster, VerifyFindsEveryFlippedPixelByte) {
   EXPECT_LE(missed, 63 * 2);  // only padding between planes may change unseen
 }
 
+// The header has no checksum.
+TEST(Raster, PlanesMustBeWhatIsAskedFor) {
+  ScratchFolder scratch;
+  write_small(scratch.path() / "a", 10);
+  EXPECT_NE(error_of([&] { RasterReader(scratch.path() / "a").rows<float>("mask", 0, 1); }).find("plane \"mask\" has 5 bytes a row, expected 20"), std::string::npos);
+  std::string bytes = file_bytes(scratch.path() / "a");
+  bytes.replace(bytes.find("mask"), 5, std::string("depth"));
+  put_bytes(scratch.path() / "b", bytes);
+  EXPECT_NE(error_of([&] { RasterReader reader(scratch.path() / "b"); }).find("both called \"depth\""), std::string::npos);
+}
+
 TEST(Raster, SurvivesDamage) {
   ScratchFolder scratch;
   write_small(scratch.path() / "a", 10);
