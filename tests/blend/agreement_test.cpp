@@ -13,7 +13,7 @@ namespace {
 std::vector<ReadingPair> chain(const std::vector<Vec3f>& log_factor, double share_wrong = 0) {
   std::vector<ReadingPair> pairs;
   for (std::uint16_t k = 0; k + 1u < log_factor.size(); ++k)
-    for (std::uint64_t i = 0; i < 500; ++i) {
+    for (std::uint32_t i = 0; i < 500; ++i) {
       const auto u = uniform01x4(3, Purpose::kTest, k, i);
       Vec3f difference = log_factor[k + 1u] - log_factor[k] + Vec3f::Constant(0.01f * (u[0] + u[1] - 1));
       if (static_cast<double>(u[2]) < share_wrong) difference += Vec3f::Constant(1 + u[3]);

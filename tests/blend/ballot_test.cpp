@@ -49,7 +49,9 @@ TEST(Ballot, HasTheSameBitsInWhateverOrderVotesAreCast) {
     for (const std::uint16_t k : order) cast_vote(ballot, k, reading(0.1f + 0.05f * static_cast<float>(k), static_cast<float>(1 + k % 2)), 0.5f);   // six of each weight
     const auto* bytes = reinterpret_cast<const std::byte*>(&ballot);
     const std::vector<std::byte> found(bytes, bytes + sizeof ballot);
-    if (expected) EXPECT_EQ(found, *expected) << turn;
+    if (expected) {
+      EXPECT_EQ(found, *expected) << turn;
+    }
     expected = found;
     std::rotate(order.begin(), order.begin() + 5, order.end());
     std::swap(order[1], order[7]);

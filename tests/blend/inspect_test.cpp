@@ -24,7 +24,7 @@ float detail(double x, double y) {
 
 /// A photograph that shows the surface (dx, dy) pixels beside where it is.
 PhotoWindow window_of(double dx, double dy) {
-  PhotoWindow window{kWidth, 0, kHeight, std::vector<WindowPixel>(kWidth * kHeight)};
+  PhotoWindow window{kWidth, 0, kHeight, std::vector<WindowPixel>(kWidth * kHeight), 0, {}};
   for (int y = 0; y < kHeight; ++y)
     for (int x = 0; x < kWidth; ++x) {
       WindowPixel& p = window.pixels[static_cast<std::size_t>(y * kWidth + x)];
