@@ -132,6 +132,34 @@ std::uint32_t intersect_block(const SurfelBlock& block, const DiscScale& scale, 
   return intersect_plain(block, kRadii.all.data(), scale, ray, share, hits);
 }
 
+CHIARO_CLONES BlockBox box_of_block(const SurfelBlock& block, const DiscScale& scale) {
+  alignas(64) float normal[3][16], radius[16], low[16], high[16];
+  stream::decode_normals(block, normal[0], normal[1], normal[2]);
+  for (int i = 0; i < 16; ++i) radius[i] = kRadii.all[block.log_radius[i]] * scale.radius2_max;
+  for (int i = 0; i < 16; ++i) radius[i] = std::sqrt(radius[i]);
+  BlockBox box;
+  for (std::size_t a = 0; a < 3; ++a) {
+    const std::array<std::uint16_t, 16>& q = a == 0 ? block.x : a == 1 ? block.y : block.z;
+    const float* n = normal[a];
+    for (int i = 0; i < 16; ++i) {
+      // A disc of radius r with normal n reaches r * sqrt(1 - n_a^2) along axis a; a little more against rounding.
+      const float across2 = 1.0f - n[i] * n[i], reach = radius[i] * std::sqrt(across2 > 0.0f ? across2 : 0.0f) + (radius[i] * 1e-3f + 1e-6f);
+      const float centre = (static_cast<float>(q[i]) + 0.5f) * scale.step;
+      const bool padding = (block.flags[i] & SurfelBlock::kPadding) != 0;
+      low[i] = padding ? 1e30f : centre - reach;
+      high[i] = padding ? -1e30f : centre + reach;
+    }
+    for (int half = 8; half > 0; half /= 2)
+      for (int i = 0; i < half; ++i) {
+        low[i] = low[i + half] < low[i] ? low[i + half] : low[i];
+        high[i] = high[i + half] > high[i] ? high[i + half] : high[i];
+      }
+    box.lower[a] = low[0];
+    box.upper[a] = high[0];
+  }
+  return box;
+}
+
 float radius2_of(const SurfelBlock& block, std::size_t lane, const DiscScale& scale) { return kRadii.all[block.log_radius[lane]] * scale.radius2_max; }
 
 // The clip line, see stream::DiscClip: two triangle waves around the diamond.

@@ -1,5 +1,6 @@
 /// A ray against the sixteen discs of a block: the inner loop of the tracer. Internal to surfels.
 #pragma once
+#include <array>
 #include <cstdint>
 
 #include "stream/store/block.h"
@@ -25,6 +26,11 @@ struct BlockHits {
 /// Bit i is set if the ray meets disc i, shrunk to `share` of its squared radius, with t_min < t <= t_max. Where a disc ends at an edge is not looked at, see
 /// is_clipped(). The same bits on every processor: plain IEEE operations, no contraction.
 std::uint32_t intersect_block(const stream::SurfelBlock& block, const DiscScale& scale, const LocalRay& ray, float share, BlockHits& hits);
+/// A box around the discs of a block, relative to the lower corner of the cell; clips are not looked at. At least one of the sixteen is no padding.
+struct BlockBox {
+  std::array<float, 3> lower, upper;
+};
+BlockBox box_of_block(const stream::SurfelBlock& block, const DiscScale& scale);
 /// Squared radius of a disc.
 float radius2_of(const stream::SurfelBlock& block, std::size_t lane, const DiscScale& scale);
 /// Does the disc end before the point at which the ray meets its plane?

@@ -97,26 +97,13 @@ LocalRay local_ray(const ChunkGeometry& g, const Vec3f& origin, const Vec3f& dir
 
 void on_bounds(const RTCBoundsFunctionArguments* args) {
   const auto& g = *static_cast<const ChunkGeometry*>(args->geometryUserPtr);
-  const SurfelBlock& b = g.chunk.blocks[args->primID];
-  Vec3f lower = Vec3f::Constant(1e30f), upper = Vec3f::Constant(-1e30f);
-  for (int i = 0; i < 16; ++i) {
-    const auto k = static_cast<std::size_t>(i);
-    if (b.flags[k] & SurfelBlock::kPadding) continue;
-    const Vec3f c = g.origin_in_scene + Vec3f((static_cast<float>(b.x[k]) + 0.5f) * g.scale.step, (static_cast<float>(b.y[k]) + 0.5f) * g.scale.step,
-                                              (static_cast<float>(b.z[k]) + 0.5f) * g.scale.step);
-    const Vec3f n = stream::decode_normal(b.normal_u[k], b.normal_v[k]);
-    const float r = stream::decode_radius(b.log_radius[k], g.chunk.frame.radius_max);
-    // A disc of radius r with normal n reaches r * sqrt(1 - n_a^2) along axis a; a little more against rounding.
-    const Vec3f reach = (Vec3f::Ones() - n.cwiseProduct(n)).cwiseMax(0.0f).cwiseSqrt() * r + Vec3f::Constant(r * 1e-3f + 1e-6f);
-    lower = lower.cwiseMin(c - reach);
-    upper = upper.cwiseMax(c + reach);
-  }
-  args->bounds_o->lower_x = lower.x();
-  args->bounds_o->lower_y = lower.y();
-  args->bounds_o->lower_z = lower.z();
-  args->bounds_o->upper_x = upper.x();
-  args->bounds_o->upper_y = upper.y();
-  args->bounds_o->upper_z = upper.z();
+  const BlockBox box = box_of_block(g.chunk.blocks[args->primID], g.scale);
+  args->bounds_o->lower_x = g.origin_in_scene.x() + box.lower[0];
+  args->bounds_o->lower_y = g.origin_in_scene.y() + box.lower[1];
+  args->bounds_o->lower_z = g.origin_in_scene.z() + box.lower[2];
+  args->bounds_o->upper_x = g.origin_in_scene.x() + box.upper[0];
+  args->bounds_o->upper_y = g.origin_in_scene.y() + box.upper[1];
+  args->bounds_o->upper_z = g.origin_in_scene.z() + box.upper[2];
 }
 
 void on_intersect(const RTCIntersectFunctionNArguments* args) {

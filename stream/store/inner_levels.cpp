@@ -49,10 +49,11 @@ class NodeBuilder {
     out_.entry.source_offset = static_cast<std::uint64_t>(bits);
     voxel_bits_ = bits;
     VoxelCursor cursor(bits);
-    for_each_child([&](const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
-      std::vector<std::uint32_t> group;
-      cursor.next_child(child, blocks, group);
-      add_members(child, blocks, group);
+    std::vector<std::uint32_t> group;
+    for_each_child([&](std::uint32_t number, const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
+      const std::span<const std::uint16_t> order = order_of(number, child, blocks);
+      cursor.next_child(child, blocks, order, group);
+      add_members(child, blocks, order, group);
     });
     finish_group();
     seal();
@@ -63,16 +64,27 @@ class NodeBuilder {
   template <class F>
   void for_each_child(const F& body) const {
     for (std::uint32_t c = 0; c < out_.entry.num_children; ++c) {
-      body(entries_[out_.entry.first_child + c], read_(out_.entry.first_child + c));
+      body(c, entries_[out_.entry.first_child + c], read_(out_.entry.first_child + c));
     }
   }
 
-  int choose_voxel_bits() const {
+  // Children are gone through twice; more than eight are the parts of full cells, whose orders would take too much memory.
+  std::span<const std::uint16_t> order_of(std::uint32_t number, const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
+    if (number >= orders_.size()) return morton_.of(blocks, child.count);
+    std::vector<std::uint16_t>& kept = orders_[number];
+    if (kept.empty()) {
+      const std::span<const std::uint16_t> order = morton_.of(blocks, child.count);
+      kept.assign(order.begin(), order.end());
+    }
+    return kept;
+  }
+
+  int choose_voxel_bits() {
     std::array<std::uint64_t, 18> first_differs{};  // how many neighbours part at this depth
     std::uint64_t total = 0;
     std::array<std::uint32_t, 3> last{};
-    for_each_child([&](const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
-      for (std::uint32_t slot = 0; slot < child.count; ++slot) {
+    for_each_child([&](std::uint32_t number, const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
+      for (const std::uint16_t slot : order_of(number, child, blocks)) {
         const auto place = place_in_parent(child, blocks[slot / 16], slot % 16);
         const std::uint32_t differ = total > 0 ? differing_bits(place, last) : 0;
         if (differ != 0) ++first_differs[static_cast<std::size_t>(18 - std::bit_width(differ))];
@@ -87,10 +99,10 @@ class NodeBuilder {
     return bits;
   }
 
-  void add_members(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, const std::vector<std::uint32_t>& group) {
+  void add_members(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::span<const std::uint16_t> order, const std::vector<std::uint32_t>& group) {
     const Vec3d octant(65536.0 * static_cast<double>(child.morton & 1), 65536.0 * static_cast<double>(child.morton >> 1 & 1), 65536.0 * static_cast<double>(child.morton >> 2 & 1));
     const RadiusTable radii(child.radius_max);
-    for (std::uint32_t slot = 0; slot < child.count; ++slot) {
+    for (const std::uint16_t slot : order) {
       if (group[slot] != group_) {
         finish_group();
         group_ = group[slot];
@@ -204,6 +216,8 @@ class NodeBuilder {
   InnerNode out_;
   std::vector<float> radii_;
   ChunkFrame frame_;
+  MortonOrder morton_;
+  std::array<std::vector<std::uint16_t>, 8> orders_;
   int voxel_bits_ = 0;
   std::uint32_t group_ = 0;
   std::uint64_t voxel_ = 0, num_members_ = 0;
@@ -221,8 +235,13 @@ InnerNode make_inner_node(const Manifest& manifest, const std::vector<ChunkEntry
 }
 
 void VoxelCursor::next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::vector<std::uint32_t>& group) {
+  next_child(child, blocks, morton_.of(blocks, child.count), group);
+}
+
+void VoxelCursor::next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::span<const std::uint16_t> order, std::vector<std::uint32_t>& group) {
+  order_ = order;
   group.resize(child.count);
-  for (std::uint32_t slot = 0; slot < child.count; ++slot) {
+  for (const std::uint16_t slot : order) {
     const auto place = place_in_parent(child, blocks[slot / 16], slot % 16);
     if (started_ && differing_bits(place, last_) >> shift_ != 0) ++group_;
     started_ = true;
@@ -237,7 +256,7 @@ std::uint64_t build_inner_levels(File& geometry, std::uint64_t geometry_end, con
   for (const ChunkEntry& e : entries) num_inner += !e.is_leaf();
   report.begin("inner levels", num_inner, "chunks");
   std::uint64_t done = 0;
-  const std::uint64_t per_node = 28ull * chunk_surfels + kMostMembers * sizeof(Member) / 8;
+  const std::uint64_t per_node = 64ull * chunk_surfels + kMostMembers * sizeof(Member) / 8;
   const auto workers = static_cast<std::size_t>(std::clamp<std::uint64_t>(budget.free_bytes() / 2 / per_node, 1, static_cast<std::uint64_t>(std::clamp(ThreadLimit::current(), 1, 64))));
   const std::size_t wave = 2 * workers;
   const BudgetLease lease(budget, per_node * workers + 16ull * chunk_surfels * wave, "inner levels");

@@ -1,8 +1,8 @@
 /// Which surfels of its children an inner surfel replaces, and the inner levels made by that rule.
 ///
 /// The cell of an inner node is cut into 2^g voxels an axis. A child's surfel belongs to the voxel that its stored position falls into: its Morton
-/// code in the parent, 17 bits an axis (the child's octant and its 16 stored bits), shortened to g bits. Surfels of a chunk are in the order of that code, and
-/// children are in Morton order, so the members of a voxel follow each other; voxels in that order are the surfels of the node.
+/// code in the parent, 17 bits an axis (the child's octant and its 16 stored bits), shortened to g bits. Children are in Morton order and are gone through in that
+/// order, whatever the order of their slots, so the members of a voxel follow each other; voxels in that order are the surfels of the node.
 #pragma once
 #include <array>
 #include <functional>
@@ -12,6 +12,7 @@
 #include "stream/base/file.h"
 #include "stream/base/report.h"
 #include "stream/store/store.h"
+#include "stream/store/surfel_order.h"
 
 namespace chiaro::stream {
 
@@ -21,10 +22,16 @@ class VoxelCursor {
   explicit VoxelCursor(int voxel_bits) : shift_(17 - voxel_bits) {}
   /// Number of the parent's surfel for each slot of the next child.
   void next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::vector<std::uint32_t>& group);
+  /// The same where the order of the child is known.
+  void next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::span<const std::uint16_t> order, std::vector<std::uint32_t>& group);
+  /// Slots of the last child, voxel after voxel.
+  std::span<const std::uint16_t> order() const { return order_; }
   std::uint32_t num_groups() const { return started_ ? group_ + 1 : 0; }
 
  private:
   int shift_;
+  MortonOrder morton_;
+  std::span<const std::uint16_t> order_;
   bool started_ = false;
   std::uint32_t group_ = 0;
   std::array<std::uint32_t, 3> last_{};

@@ -193,7 +193,7 @@ std::vector<std::byte> mean_of_children(const Store& store, std::uint32_t node, 
     const Chunk geometry = store.read_chunk(child);
     const std::vector<std::byte> values = read(child);
     cursor.next_child(store.chunks()[child], geometry.blocks, group);
-    for (std::uint32_t slot = 0; slot < geometry.count; ++slot) {
+    for (const std::uint16_t slot : cursor.order()) {
       if (group[slot] != current) finish(current);
       current = group[slot];
       mean.add(values.data(), geometry.count, slot);

@@ -10,6 +10,7 @@
 #include "stream/base/parallel.h"
 #include "stream/store/leaf_fit.h"
 #include "stream/store/store_format.h"
+#include "stream/store/surfel_order.h"
 
 namespace chiaro::stream {
 namespace {
@@ -30,7 +31,14 @@ struct LeafData {
   std::vector<SpillRecord> open;  ///< instead of the above: points of a level-21 cell that may go on in the next range
 };
 
-LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_t morton, int level, int part, const LeafRules& rules, bool has_colour) {
+/// Room for encoding one leaf after the other.
+struct EncodeRoom {
+  std::vector<StoredPosition> positions;
+  PatchOrder patches;
+};
+
+// In Morton order a leaf is cheaper to make, in patches cheaper to use: a guessed surfel is a preview.
+LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_t morton, int level, int part, const LeafRules& rules, bool has_colour, EncodeRoom& room) {
   LeafData leaf;
   leaf.entry.morton = morton;
   leaf.entry.level = static_cast<std::uint8_t>(level);
@@ -40,9 +48,19 @@ LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_
   leaf.blocks.resize((count + 15) / 16);
   std::vector<std::uint64_t> sources(count);
   if (has_colour) leaf.colours.resize(3 * count);
+  std::span<const std::uint16_t> order;
+  if (!rules.guess_surfels) {
+    room.positions.resize(count);
+    for (std::size_t i = 0; i < count; ++i) {
+      const auto q = morton_decode(local_of(records[i].key(), level));
+      room.positions[i] = {static_cast<std::uint16_t>(q[0]), static_cast<std::uint16_t>(q[1]), static_cast<std::uint16_t>(q[2])};
+    }
+    order = room.patches.of(room.positions);
+  }
   for (std::size_t i = 0; i < leaf.blocks.size() * 16; ++i) {
     const bool padding = i >= count;
-    const SpillRecord& r = records[padding ? count - 1 : i];
+    const std::size_t last = std::min(i, count - 1);
+    const SpillRecord& r = records[order.empty() ? last : order[last]];
     SurfelBlock& b = leaf.blocks[i / 16];
     const std::size_t lane = i % 16;
     const auto q = morton_decode(local_of(r.key(), level));
@@ -68,8 +86,8 @@ LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_
 
 class RangeBuilder {
  public:
-  RangeBuilder(const std::vector<SpillRecord>& records, KeyRange range, const LeafRules& rules, bool has_colour)
-      : records_(records), range_(range), rules_(rules), has_colour_(has_colour) {
+  RangeBuilder(const std::vector<SpillRecord>& records, KeyRange range, const LeafRules& rules, bool has_colour, EncodeRoom& room)
+      : records_(records), range_(range), rules_(rules), has_colour_(has_colour), room_(room) {
     if (!records.empty()) split(0, records.size(), 0, 0);
   }
   std::vector<LeafData> take() { return std::move(leaves_); }
@@ -112,7 +130,7 @@ class RangeBuilder {
     int part = 0;
     for (; first < last; first += rules_.chunk_surfels, ++part) {
       if (part > 255) too_many(rules_);
-      leaves_.push_back(encode_leaf(&records_[first], std::min<std::size_t>(rules_.chunk_surfels, last - first), morton, level, part, rules_, has_colour_));
+      leaves_.push_back(encode_leaf(&records_[first], std::min<std::size_t>(rules_.chunk_surfels, last - first), morton, level, part, rules_, has_colour_, room_));
     }
   }
 
@@ -126,6 +144,7 @@ class RangeBuilder {
   KeyRange range_;
   const LeafRules& rules_;
   bool has_colour_;
+  EncodeRoom& room_;
   std::vector<LeafData> leaves_;
 };
 
@@ -180,7 +199,7 @@ class LeafAssembler {
       records.reserve(wave[j].count);
       for (const SpillPage& page : wave[j].pages) read_page(spill_, page, root_, records);
       sort_by_key(records, rooms_[j].sorting);
-      wave[j].leaves = RangeBuilder(records, wave[j].range, rules_, files_.colour != nullptr).take();
+      wave[j].leaves = RangeBuilder(records, wave[j].range, rules_, files_.colour != nullptr, rooms_[j].encoding).take();
     });
     for (Job& job : wave) {
       for (LeafData& leaf : job.leaves) write(leaf);
@@ -305,7 +324,7 @@ class LeafAssembler {
   void flush_open_leaf() {
     if (open_.empty()) return;
     if (open_part_ > 255) RangeBuilder::too_many(rules_);
-    LeafData leaf = encode_leaf(open_.data(), open_.size(), open_morton_, kMaxLevel, open_part_++, rules_, files_.colour != nullptr);
+    LeafData leaf = encode_leaf(open_.data(), open_.size(), open_morton_, kMaxLevel, open_part_++, rules_, files_.colour != nullptr, open_room_);
     open_.clear();
     store(leaf);
   }
@@ -338,9 +357,11 @@ class LeafAssembler {
   std::vector<SpillRecord> open_;
   std::uint64_t open_morton_ = 0;
   int open_part_ = 0;
+  EncodeRoom open_room_;
   struct Room {
     std::vector<SpillRecord> records;
     SortRoom sorting;
+    EncodeRoom encoding;
   };
   std::vector<Room> rooms_;   // one for each job of a wave, used again by the next
 };

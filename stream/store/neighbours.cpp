@@ -121,6 +121,7 @@ bool HaloCache::evict_one() {
   for (auto it = order_.rbegin(); it != order_.rend(); ++it) {
     const auto slot = slots_.find(*it);
     if (slot->second.chunk.use_count() > 1) continue;
+    held_bytes_ -= slot->second.lease.bytes();
     order_.erase(slot->second.place);
     slots_.erase(slot);
     return true;
@@ -142,7 +143,7 @@ std::shared_ptr<const HaloChunk> HaloCache::get(std::uint32_t chunk) {
   BudgetLease lease;
   {
     const std::lock_guard lock(mutex_);
-    while (budget_.free_bytes() < bytes && evict_one()) {
+    while ((budget_.free_bytes() < bytes || held_bytes_ + bytes > most_bytes_) && evict_one()) {
     }
     lease = BudgetLease(budget_, bytes, "points around a chunk");
   }
@@ -151,6 +152,7 @@ std::shared_ptr<const HaloChunk> HaloCache::get(std::uint32_t chunk) {
   const auto it = slots_.find(chunk);
   if (it != slots_.end()) return it->second.chunk;
   order_.push_front(chunk);
+  held_bytes_ += lease.bytes();
   slots_.emplace(chunk, Slot{loaded, std::move(lease), order_.begin()});
   return loaded;
 }

@@ -34,13 +34,13 @@ struct HaloChunk {
 };
 std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count, bool with_normals);
 
-/// Leaves as HaloChunks, least recently used first out. Thread-safe; what a caller holds stays valid.
+/// Leaves as HaloChunks, least recently used first out. Holds what was used last, up to most_bytes and never beyond the budget. Thread-safe; what a caller holds stays valid.
 class HaloCache {
  public:
   using Load = std::function<std::shared_ptr<const HaloChunk>(std::uint32_t chunk)>;
   /// bytes_of: cost of a chunk, known before it is loaded.
-  HaloCache(MemoryBudget& budget, Load load, std::function<std::uint64_t(std::uint32_t)> bytes_of)
-      : budget_(budget), load_(std::move(load)), bytes_of_(std::move(bytes_of)) {}
+  HaloCache(MemoryBudget& budget, Load load, std::function<std::uint64_t(std::uint32_t)> bytes_of, std::uint64_t most_bytes = ~std::uint64_t{0})
+      : budget_(budget), most_bytes_(most_bytes), load_(std::move(load)), bytes_of_(std::move(bytes_of)) {}
   std::shared_ptr<const HaloChunk> get(std::uint32_t chunk);
 
  private:
@@ -51,6 +51,7 @@ class HaloCache {
   };
   bool evict_one();
   MemoryBudget& budget_;
+  std::uint64_t most_bytes_, held_bytes_ = 0;
   Load load_;
   std::function<std::uint64_t(std::uint32_t)> bytes_of_;
   std::mutex mutex_;

@@ -9,6 +9,7 @@
 #include "stream/store/morton.h"
 #include "stream/store/octree_build.h"
 #include "stream/store/store_format.h"
+#include "stream/store/surfel_order.h"
 
 namespace chiaro::stream {
 namespace {
@@ -88,7 +89,6 @@ class Verifier {
       const Chunk chunk = store.read_chunk(i);
       const ChunkEntry& e = store.chunks()[i];
       std::array<std::uint16_t, 3> low{65535, 65535, 65535}, high{0, 0, 0};
-      std::uint64_t last = 0;
       std::uint8_t largest = 0;
       for (std::uint32_t slot = 0; slot < chunk.blocks.size() * 16; ++slot) {
         const SurfelBlock& b = chunk.blocks[slot / 16];
@@ -101,14 +101,28 @@ class Verifier {
           low[a] = std::min(low[a], q[a]);
           high[a] = std::max(high[a], q[a]);
         }
-        const std::uint64_t code = morton_encode(q[0], q[1], q[2]);
-        if (code < last) throw Error(concat(where(store, i), ", slot ", slot, ": not in Morton order"));
-        last = code;
         largest = std::max(largest, b.log_radius[lane]);
       }
+      check_order(store, i, chunk);
       if (low != e.tight_min || high != e.tight_max) throw Error(concat(where(store, i), ": bounds in the index are not those of the surfels"));
       if (largest != 255) throw Error(concat(where(store, i), ": the largest radius is not the one in the index"));
     });
+  }
+
+  // Those on one spot follow each other; inner nodes are in Morton order.
+  static void check_order(const Store& store, std::uint32_t i, const Chunk& chunk) {
+    MortonOrder morton;
+    const std::span<const std::uint16_t> order = morton.of(chunk.blocks, chunk.count);
+    const auto code = [&](std::uint16_t slot) {
+      const SurfelBlock& b = chunk.blocks[slot / 16];
+      return morton_encode(b.x[slot % 16], b.y[slot % 16], b.z[slot % 16]);
+    };
+    for (std::size_t k = 1; k < order.size(); ++k) {
+      const bool follows = order[k] == order[k - 1] + 1;
+      if (follows) continue;
+      if (!store.chunks()[i].is_leaf()) throw Error(concat(where(store, i), ", slot ", order[k], ": not in Morton order"));
+      if (code(order[k]) == code(order[k - 1])) throw Error(concat(where(store, i), ", slot ", order[k], ": apart from others on the same spot"));
+    }
   }
 
   // Each inner surfel stands for a voxel that its children occupy, and lies in it.

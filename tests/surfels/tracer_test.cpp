@@ -32,6 +32,45 @@ Vec3f random_direction(std::uint64_t i) {
   return {r * std::cos(phi), r * std::sin(phi), z};
 }
 
+TEST(DiscBlock, ABoxHoldsAllDiscsAndIsNoLargerThanTheyAre) {
+  for (std::uint64_t trial = 0; trial < 200; ++trial) {
+    stream::SurfelBlock block{};
+    const std::size_t count = 1 + trial % 16;
+    const DiscScale scale{0.001f, 0.25f};
+    Vec3f lower = Vec3f::Constant(1e30f), upper = Vec3f::Constant(-1e30f);
+    float largest = 0;
+    for (std::size_t i = 0; i < 16; ++i) {
+      const auto u = uniform01x4(11, Purpose::kTest, 16 * trial + i, 0);
+      const auto code = stream::encode_normal(random_direction(16 * trial + i));
+      block.x[i] = static_cast<std::uint16_t>(65535 * u[0]);
+      block.y[i] = static_cast<std::uint16_t>(65535 * u[1]);
+      block.z[i] = static_cast<std::uint16_t>(65535 * u[2]);
+      block.normal_u[i] = code[0];
+      block.normal_v[i] = code[1];
+      block.log_radius[i] = static_cast<std::uint8_t>(100 + 155 * u[3]);
+      if (i >= count) block.flags[i] = stream::SurfelBlock::kPadding;
+      if (i >= count) continue;
+      const Vec3f centre = (Vec3f(block.x[i], block.y[i], block.z[i]) + Vec3f::Constant(0.5f)) * scale.step, n = stream::decode_normal(code[0], code[1]), across = n.unitOrthogonal();
+      const float radius = stream::decode_radius(block.log_radius[i], 0.5f);
+      largest = std::max(largest, radius);
+      for (int k = 0; k < 720; ++k) {
+        const float turn = 6.2831853f * static_cast<float>(k) / 720;
+        const Vec3f rim = centre + radius * (std::cos(turn) * across + std::sin(turn) * n.cross(across));
+        lower = lower.cwiseMin(rim);
+        upper = upper.cwiseMax(rim);
+      }
+    }
+    const BlockBox box = box_of_block(block, scale);
+    for (std::size_t a = 0; a < 3; ++a) {
+      const auto k = static_cast<int>(a);
+      EXPECT_LE(box.lower[a], lower[k]);
+      EXPECT_GE(box.upper[a], upper[k]);
+      EXPECT_GE(box.lower[a], lower[k] - 2e-3f * largest - 1e-4f);   // the margin and the steps of the rim, and 65 m in floats
+      EXPECT_LE(box.upper[a], upper[k] + 2e-3f * largest + 1e-4f);
+    }
+  }
+}
+
 TEST(Tracer, HitsAPlaneWhereItIs) {
   const ScratchFolder folder;
   const stream::Store store = build_test_store(square_points(120, 2.0, {5, 5, 3}, {0, 0, 1}, 1), folder.path());

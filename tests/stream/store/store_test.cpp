@@ -174,6 +174,20 @@ TEST_F(StoreFiles, VerifyFindsWhatChecksumsCannot) {
   EXPECT_FALSE(verify().problems.empty());
 }
 
+TEST_F(StoreFiles, VerifyFindsPointsOfOneSpotApart) {
+  auto entries = read_index(index_path(path_));
+  const auto leaf = std::find_if(entries.begin(), entries.end(), [](const ChunkEntry& e) { return e.is_leaf() && e.count >= 16; });
+  ASSERT_NE(leaf, entries.end());
+  File geometry(geometry_path(path_), File::Mode::kReadWrite);
+  std::vector<SurfelBlock> blocks = read_blocks(geometry, *leaf);
+  SurfelBlock& b = blocks[0];
+  b.x[2] = b.x[0], b.y[2] = b.y[0], b.z[2] = b.z[0];
+  geometry.write_at(leaf->offset, blocks.data(), geometry_bytes(leaf->count));
+  leaf->geometry_crc = crc32c(blocks.data(), geometry_bytes(leaf->count));
+  write_index(index_path(path_), entries);
+  EXPECT_THAT(verify().problems, testing::Contains(testing::HasSubstr("slot 2: apart from others on the same spot")));
+}
+
 TEST_F(StoreFiles, ALayerOfAnotherStoreIsRefused) {
   build(sphere_cloud(600, 2.0), scratch_.path() / "b.chiaro", 128);
   fs::copy(path_ / "layers", scratch_.path() / "b.chiaro" / "layers", fs::copy_options::recursive | fs::copy_options::overwrite_existing);

@@ -1,0 +1,46 @@
+/// In which order the surfels of a chunk are stored, and how to go through them cell by cell all the same.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "stream/store/block.h"
+
+namespace chiaro::stream {
+
+using StoredPosition = std::array<std::uint16_t, 3>;
+
+/// The order in which each block holds a small patch of the surface, so that its box is small and rays visit few: the chunk is halved across its longest axis,
+/// and each half again, down to blocks. One object a thread; keeps its room.
+class PatchOrder {
+ public:
+  /// positions: at most kMaxChunkSurfels, in Morton order. Result: for each slot the number of the position. Those on one spot stay together and in order.
+  std::span<const std::uint16_t> of(std::span<const StoredPosition> positions);
+
+ private:
+  void halve(std::size_t first, std::size_t last);
+  struct Cut {
+    int axis = 0;                  ///< a position goes to the first half if it is below `value` there, as do the first `equals` of those at it
+    std::uint32_t value = 0, equals = 0;
+  };
+  bool choose_cut(std::size_t first, std::size_t last, std::size_t wanted, Cut& cut);
+  void keep_spots_together(std::size_t first, std::size_t last, Cut& cut) const;
+  std::size_t divide(std::size_t first, std::size_t last, const Cut& cut);
+  bool has_spots_ = false;                    // several positions on one spot
+  std::vector<std::uint64_t> items_, other_;  // x, y, z and number, 16 bits each from the lowest
+  std::vector<std::uint16_t> values_, order_;
+};
+
+/// Goes through a chunk in Morton order of the stored positions, those on one spot by slot. One object a thread; keeps its room.
+class MortonOrder {
+ public:
+  /// Slots of the first `count` surfels in that order.
+  std::span<const std::uint16_t> of(const std::vector<SurfelBlock>& blocks, std::uint32_t count);
+
+ private:
+  std::vector<std::uint64_t> items_, other_;  // 48 bits of code above 16 bits of slot
+  std::vector<std::uint16_t> order_;
+};
+
+}  // namespace chiaro::stream
