@@ -84,8 +84,8 @@ bool LightProblem::choose_richer_sky(const Lights& start, LightSolution& solutio
   return best.name() != plain.name();
 }
 
-/// How far photographs leave open what of the ambient light is its mean: which of them are asked, and what shape the sky may have (the richest model there is, whose
-/// further terms the photographs were not asked to pay for).
+/// How far photographs leave open what of the ambient light is its mean: which of them are asked, and, where they speak against an even grey sky alone, what shape
+/// it has instead (by the richest model there is: that a sparse one explains as much is no reason to believe its shape).
 double LightProblem::ambient_open(const Lights& start, const LightSolution& solution) {
   if (use_pairs_ || !lit_ || solution.sky_terms == 0) return 0;
   const std::vector<LightSample> some = thinned(samples_, kTrialGroups);
@@ -96,7 +96,7 @@ double LightProblem::ambient_open(const Lights& start, const LightSolution& solu
   const double variance = plain.covariance(1, 1);
   double open = 0;
   if (const auto by_photographs = ambient_variance_by_photographs(some, references, options, plain)) open += std::max(0.0, *by_photographs - variance);
-  if (input_.sky != SkyModel::kAuto) return open;
+  if (input_.sky != SkyModel::kAuto || sky_.name() == sky_shape(input_.sky).name()) return open;
   const SkyShape chosen = sky_;
   sky_ = {kSkyTerms, true, chosen.floor};
   LightSolveOptions richest = current_options(start);
