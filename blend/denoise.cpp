@@ -13,7 +13,6 @@ constexpr std::size_t kNeighbours = 16;     // 8 leave more noise, 24 and 32 cha
 constexpr float kExact = 0.01f;             // no value counts for more than this deviation
 constexpr float kLikeness = 2, kLeastLikeness = 0.02f;   // values further apart than twice their deviations, and this, are another colour
 constexpr float kSmoothest = 0.005f;        // of ln albedo: no surface is more even
-constexpr float kIndependent = 3;           // of the neighbours' errors: normals and places are wrong together over a few surfels
 
 /// Weighted sums over a surfel and its neighbours.
 struct Surroundings {
@@ -60,7 +59,9 @@ Denoised denoised(const NoisySurfels& s, const Surroundings& around, std::uint32
     noise_of_mean += share * share * sd * sd;
   }
   const float own = s.sd[i] * s.sd[i], surface = std::max(variance - noise, kSmoothest * kSmoothest), kept = surface / (surface + own);
-  return {mean + kept * (s.log_albedo[i] - mean), std::sqrt(kept * own + (1 - kept) * (1 - kept) * std::max(noise_of_mean, noise / kIndependent))};
+  // What neighbours have wrong alike (normals, places) does not average out, and does not show in how they differ; what shows does.
+  const float shown = noise > 0 ? std::min(1.0f, variance / noise) : 1.0f;
+  return {mean + kept * (s.log_albedo[i] - mean), std::sqrt(kept * own + (1 - kept) * (1 - kept) * (shown * noise_of_mean + (1 - shown) * noise))};
 }
 
 }  // namespace

@@ -59,6 +59,7 @@ class LightProblem {
   Viewpoint viewpoint(std::size_t k) const;
   bool choose_gloss(const Lights& start, LightSolution& solution);
   bool choose_richer_sky(const Lights& start, LightSolution& solution);
+  double ambient_open(const Lights& start, const LightSolution& solution);
   void check_bounces(const LightSolveOptions& options, LightSolution& solution);
   double ambient_scale(std::size_t k) const { return input_.photographs[k].ambient_scale * own_[k].ambient; }
   void add_sample(std::size_t k, const Observation& o, const std::vector<float>& g, std::size_t i, std::uint32_t group);

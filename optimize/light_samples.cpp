@@ -107,6 +107,9 @@ std::vector<Pair> choose_pairs(const Scene& scene, const Observation& o, std::si
 
 namespace {
 
+constexpr double kReadingSd = 0.003;                          ///< of a target's mean brightness, relative
+constexpr double kLeastNormalSd = 0.005, kNormalSd = 0.0175;  ///< of a target's normal
+
 bool inside(const std::vector<Vec2d>& polygon, const Vec2d& p) {
   bool in = false;
   for (std::size_t i = 0, j = polygon.size() - 1; i < polygon.size(); j = i++) {
@@ -117,6 +120,20 @@ bool inside(const std::vector<Vec2d>& polygon, const Vec2d& p) {
 }
 
 }  // namespace
+
+double unknown_share(const Transport& transport, const Stencil& stencil, std::span<const float> radiosity, std::span<const std::uint16_t> times_seen) {
+  const auto rays = static_cast<std::size_t>(transport.rays);
+  double unknown = 0, all = 0;
+  for (std::size_t k = 0; k < kStencil; ++k)
+    for (std::size_t r = stencil.index[k] * rays; r < (stencil.index[k] + 1) * rays; ++r) {
+      const std::uint32_t j = transport.hits[r];
+      if (j == Transport::kSky) continue;
+      const double light = static_cast<double>(stencil.weight[k]) * static_cast<double>(radiosity[3 * j] + radiosity[3 * j + 1] + radiosity[3 * j + 2]);
+      all += light;
+      if (times_seen[j] == 0) unknown += light;
+    }
+  return all > 0 ? unknown / all : 0;
+}
 
 std::optional<ReferenceReading> read_reference(const Scene& scene, const AcquisitionInput& input, const ReferenceTarget& target) {
   const ObserveInput& photo = input.photographs[target.photograph];
@@ -133,7 +150,7 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
   if (first >= last || left >= right) return std::nullopt;
   const PhotoBand band = read_band(radiance, gbuffer, first, last - first);
   Vec3d colour = Vec3d::Zero();
-  double squares = 0;   // of the green channel
+  double squares = 0, noise = 0;   // of the green channel: squared values, variance of the pixels
   Vec3f point = Vec3f::Zero(), normal = Vec3f::Zero();
   double flash = 0, spread = 0;
   int count = 0;
@@ -143,6 +160,7 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
       if (!inside(target.polygon, {x + 0.5, y + 0.5}) || band.mask[i] != 1 || !(band.depth[i] > 0)) continue;
       colour += band.colour(i).cast<double>();
       squares += static_cast<double>(band.g[i]) * static_cast<double>(band.g[i]);
+      noise += photo.noise.gain * std::max(0.0, static_cast<double>(band.g[i])) + photo.noise.read_sigma * photo.noise.read_sigma;
       flash += static_cast<double>(band.flash[i]);
       spread += static_cast<double>(band.spread[i]);
       point += pixel_point(photo.camera, scene.proxy.origin_in_world, x, y, band.depth[i]);
@@ -153,9 +171,12 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
   ReferenceReading reading;
   reading.photograph = target.photograph;
   reading.reference.albedo = target.albedo;
-  // Reading error: a target is even, so what varies over it is light that the model does not follow; its mean is off by about half of that.
-  const double green = colour[1] / count, uneven = std::sqrt(std::max(0.0, squares / count - green * green)) / green;
-  reading.reference.sigma = std::hypot(target.sigma, 0.005, 0.5 * uneven);
+  // Reading error: a target is even, so what varies over it beside noise is light that the model does not follow; its mean is off by about half of that.
+  const double green = colour[1] / count, uneven = std::sqrt(std::max(0.0, (squares - noise) / count - green * green)) / green;
+  reading.reference.sigma = std::hypot(target.sigma, kReadingSd, 0.5 * uneven);
+  // And flat: what its pixels' normals scatter by about their mean, along one direction, says how far that may be off.
+  const double length = static_cast<double>(normal.norm()) / count;
+  reading.reference.normal_rad = std::clamp(std::sqrt(std::max(0.0, 1 - length * length) / 2), kLeastNormalSd, kNormalSd);
   LightSample& s = reading.reference.sample;
   s.photograph = static_cast<std::uint32_t>(target.photograph);
   for (int c = 0; c < 3; ++c) s.radiosity[static_cast<std::size_t>(c)] = static_cast<float>(3.14159265358979 * colour[c] / count);

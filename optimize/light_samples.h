@@ -2,6 +2,7 @@
 #pragma once
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "optimize/acquisition.h"
@@ -38,6 +39,9 @@ struct ReferenceReading {
 
 /// Absent where the target covers no usable pixel.
 std::optional<ReferenceReading> read_reference(const Scene& scene, const AcquisitionInput& input, const ReferenceTarget& target);
+
+/// Of the light gathered there, the share that comes from surfaces which no photograph shows (times_seen 0), whose albedo is a guess.
+double unknown_share(const Transport& transport, const Stencil& stencil, std::span<const float> radiosity, std::span<const std::uint16_t> times_seen);
 
 /// Where a photograph's flash stands; absent: taken without.
 std::optional<Vec3d> flash_in_world(const AcquisitionInput& input, std::size_t photograph);

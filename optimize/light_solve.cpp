@@ -14,7 +14,8 @@ namespace {
 constexpr double kModelSd = 0.02;                    ///< relative model error that no term names
 constexpr double kNormalSd = 0.01745;                ///< one degree
 constexpr double kGatherSd = 0.03;                   ///< relative error of smoothed sky and bounce terms
-constexpr double kShadowSd = 0.02;                   ///< relative error of the gathered light that all places where it prevails share: cuts, unseen surfaces (measured 1.3 %)
+constexpr double kShadowSd = 0.013;                  ///< relative error of the gathered light that all places where it prevails share: cuts, unseen surfaces (so much was measured)
+constexpr double kUnknownSd = 0.5;                   ///< relative, of the light from surfaces whose albedo no photograph shows: that of the nearest seen one was twice too much beside a tower
 constexpr double kSkyColourSd = 0.5;                 ///< of ln red and ln blue of the ambient light beside green: a candle is 1.2 off, shade -0.3
 constexpr double kFloorAlbedo = 0.3, kFloorSd = 0.3, kWhitestFloor = 0.95;   ///< soil and stone to whitewash
 constexpr double kGuessSd = 0.35;                    ///< relative, of an ambient light guessed from the brightest surfaces
@@ -87,10 +88,10 @@ Normal accumulate(const Lights& x, const Lights& weigh, std::span<const LightSam
 }
 
 /// Of ln(B / H), from noise, normals, sub-pixel spread and gather noise.
-double light_variance(const Lights& lights, const LightSample& s) {
+double light_variance(const Lights& lights, const LightSample& s, double normal_rad = kNormalSd) {
   const double h = irradiance(lights, s, 1);
   const double direct = h > 0 ? lights.flash_intensity * static_cast<double>(s.flash) / h : 0;
-  const double normal = direct * static_cast<double>(s.tan_flash) * kNormalSd, spread = 0.3 * direct * static_cast<double>(s.spread), gather = kGatherSd * (1 - direct);
+  const double normal = direct * static_cast<double>(s.tan_flash) * normal_rad, spread = 0.3 * direct * static_cast<double>(s.spread), gather = kGatherSd * (1 - direct);
   // Not of highlights: a coat that makes them larger would have fewer of them count.
   return static_cast<double>(s.variance) + normal * normal + spread * spread + gather * gather;
 }
@@ -104,8 +105,9 @@ void add_references(const Lights& x, const Lights& weigh, std::span<const Refere
       const double r = std::log(b / h) - std::log(ref.albedo[at]);
       const LightVector j = light_derivative(x, ref.sample, c, layout, h, b / h);
       // The channels of one target share its error: together they count once. What the light model is good for at that place counts too: a target in
-      // shadow, or seen by a grazing flash, says less.
-      const double w = 1.0 / (3.0 * (ref.sigma * ref.sigma + light_variance(weigh, ref.sample)));
+      // shadow, seen by a grazing flash, or lit by surfaces that no photograph shows, says less.
+      const double unknown = kUnknownSd * ref.unknown_share * weigh.bounce * static_cast<double>(ref.sample.gathered[at]) / irradiance(weigh, ref.sample, c);
+      const double w = 1.0 / (3.0 * (ref.sigma * ref.sigma + unknown * unknown + light_variance(weigh, ref.sample, ref.normal_rad)));
       add_outer(n.a, w, j, layout.size());
       n.g -= w * r * j;
       n.objective += 0.5 * w * r * r;

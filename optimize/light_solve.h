@@ -49,6 +49,8 @@ struct ReferenceSample {
   LightSample sample;
   std::array<double, 3> albedo{};
   double sigma = 0.01;                        ///< relative, of the albedo and its reading together
+  double normal_rad = 0.0175;                 ///< by how much its normal may be off
+  double unknown_share = 0;                   ///< of its gathered light, what comes from surfaces that no photograph shows
 };
 
 struct LightSolveOptions {
@@ -70,6 +72,7 @@ struct LightSolution {
   int sky_terms = 0;
   bool sky_colour = false;
   Eigen::MatrixXd covariance;                 ///< of (ln flash_intensity, sky[0..sky_terms), ln red and ln blue of the sky if solved, floor_albedo if there is one, ln reflectance and ln roughness of a coat, bounce): sandwich estimate, priors and the common error of gathered light included
+  double ambient_open = 0;                    ///< variance of sky[0] beside that: between the sky's mean, its shape and a floor. What arrives at the surfaces is known better, so the albedo does not feel it
   Eigen::MatrixXd outside;                    ///< information of priors and references about the same parameters
   double outside_misfit = 0;                  ///< -ln likelihood of these
   double scatter = 0;                         ///< robust standard deviation of ln albedo between samples of a group

@@ -376,7 +376,7 @@ class Pipeline {
         covariance.push_back(row);
       }
       lights.push_back({{"flash_intensity", s.lights.flash_intensity}, {"sky", s.lights.sky}, {"sky_colour", s.lights.sky_colour}, {"bounce", s.lights.bounce},
-                        {"gloss", gloss_json(s.lights.gloss)}, {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"floor", s.lights.floor}, {"floor_albedo", s.lights.floor_albedo}, {"covariance", covariance}, {"scatter", s.scatter},
+                        {"gloss", gloss_json(s.lights.gloss)}, {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"floor", s.lights.floor}, {"floor_albedo", s.lights.floor_albedo}, {"covariance", covariance}, {"ambient_open", s.ambient_open}, {"scatter", s.scatter},
                         {"groups", s.groups}, {"samples", s.samples}, {"iterations", s.iterations}, {"converged", s.converged}, {"scale_known", s.scale_known}});
     }
     Json errors = Json::array();
@@ -410,6 +410,7 @@ class Pipeline {
       s.iterations = l["iterations"];
       s.converged = l["converged"];
       s.scale_known = l["scale_known"];
+      s.ambient_open = l["ambient_open"];
       r.lights.push_back(s);
     }
     if (const Json& e = j["gloss_evidence"]; !e.is_null()) r.gloss_evidence = e.get<double>();
@@ -497,7 +498,7 @@ class Pipeline {
     const auto one = [&](const optimize::LightSolution& s, const optimize::ErrorModel& errors) {
       const double ln_sd = s.covariance.rows() > 0 ? std::sqrt(std::max(0.0, s.covariance(0, 0))) : 0;
       const int sky = s.sky_terms;
-      const double ambient_sd = sky > 0 ? std::sqrt(std::max(0.0, s.covariance(1, 1))) : 0;
+      const double ambient_sd = sky > 0 ? std::sqrt(std::max(0.0, s.covariance(1, 1) + s.ambient_open)) : 0;
       std::vector<std::string> names{"ln_flash_intensity"};
       for (int k = 0; k < sky; ++k) names.push_back("sky_" + std::to_string(k));
       if (s.sky_colour) names.insert(names.end(), {"ln_sky_red", "ln_sky_blue"});

@@ -32,6 +32,22 @@ TEST(ChooseSurfels, TakesFewerWhereEachIsSeenByHundreds) {
   EXPECT_EQ(choose_surfels(times_seen, 2, 20000, 1, 10).size(), 1u);
 }
 
+TEST(UnknownShare, CountsTheLightOfSurfacesThatNoPhotographShows) {
+  Transport transport;
+  transport.rays = 4;
+  transport.sky.assign(3 * kSkyTerms, 0.0f);
+  transport.hits = {1, 2, Transport::kSky, 2, 0, 0, 0, 0, Transport::kSky, Transport::kSky, Transport::kSky, Transport::kSky};
+  const std::vector<float> radiosity{1, 1, 1, 2, 1, 0, 0.5f, 0.5f, 0};   // sums 3, 3, 1
+  const std::vector<std::uint16_t> times_seen{2, 1, 0};
+  Stencil stencil;   // surfel 0 meets surfel 1 and twice 2; surfel 1 meets 0 alone
+  stencil.weight[0] = 0.5f;
+  stencil.index[1] = 1;
+  stencil.weight[1] = 0.5f;
+  EXPECT_NEAR(unknown_share(transport, stencil, radiosity, times_seen), 2.0 / (3 + 2 + 12), 1e-6);
+  stencil.index.fill(2);   // and 2 nothing
+  EXPECT_EQ(unknown_share(transport, stencil, radiosity, times_seen), 0);
+}
+
 TEST(Thinned, KeepsWholeGroupsFromEverywhere) {
   std::vector<LightSample> samples;
   for (std::uint32_t group = 0; group < 900; ++group)

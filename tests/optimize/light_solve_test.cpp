@@ -112,6 +112,35 @@ TEST(LightSolve, AReferenceInShadowSaysLessThanOneInLight) {
   EXPECT_NEAR(sd(0, 3), 1 / std::sqrt(400.0 + 1 / (1e-4 + 9e-4)), 2e-3);
 }
 
+// The same for light whose source nobody sees (half of it may be wrong) and for a normal that may be off; here half of the light is gathered, or the flash grazes.
+TEST(LightSolve, ATargetSaysLessWhereUnseenSurfacesLightItOrItsNormalIsUncertain) {
+  Truth truth;
+  truth.gathered = 0;
+  const auto samples = make_samples(truth, 400);
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(12.0);
+  options.flash_ln_sd = 0.05;
+  options.bounce_sd = 0;
+  const auto sd = [&](float gathered, double unknown_share, float tan_flash, double normal_rad) {
+    ReferenceSample reference;
+    reference.sample.flash = 1;
+    reference.sample.tan_flash = tan_flash;
+    reference.normal_rad = normal_rad;
+    reference.unknown_share = unknown_share;
+    for (std::size_t c = 0; c < 3; ++c) {
+      reference.sample.gathered[c] = gathered;
+      reference.albedo[c] = 0.5;
+      reference.sample.radiosity[c] = 0.5f * (12 + gathered);
+    }
+    return std::sqrt(solve_lights(samples, {&reference, 1}, options, start(12, 0.2)).covariance(0, 0));
+  };
+  const auto expected = [](double direct, double error2) { return 1 / std::sqrt(400 + direct * direct / (1e-4 + error2)); };
+  EXPECT_NEAR(sd(0, 1, 2, 0.01), expected(1, 4e-4), 3e-4);
+  EXPECT_NEAR(sd(0, 1, 2, 0.001), expected(1, 4e-6), 3e-4);
+  EXPECT_NEAR(sd(12, 0, 0, 0.01), expected(0.5, 2.25e-4), 1e-3);
+  EXPECT_NEAR(sd(12, 0.4, 0, 0.01), expected(0.5, 2.25e-4 + 0.01), 1e-3);
+}
+
 // Lights far too dark make albedos above 1. With nothing else known they are pulled up until albedos are possible.
 TEST(LightSolve, NoSurfaceReflectsMoreThanItReceives) {
   Truth truth;

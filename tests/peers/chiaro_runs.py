@@ -3,7 +3,8 @@ import json
 import os
 import re
 import subprocess
-from dataclasses import dataclass, field
+import tomllib
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,9 @@ class Outcome:
     error: tuple = (np.nan, np.nan)             # |albedo - truth| / truth, mean over channels: mean and median over points, per cent
     scaled: tuple = (np.nan, np.nan)            # the same after the common factor that fits best
     lights: list = field(default_factory=list)  # (ln Lp error, its sd, ln La error, its sd) per acquisition or per photograph
+    photographs: list = field(default_factory=list)   # name of each row of `lights`; empty where all share theirs
     references: int = 0                         # targets of known albedo that the project names
+    targets: set = field(default_factory=set)   # photographs that show them
     z_rms: float = np.nan                       # of ln(albedo / truth) over sigma
     z_robust: float = np.nan                    # 1.48 median |z|
     within_two: float = np.nan                  # share of |z| < 2
@@ -58,6 +61,11 @@ def albedo_errors(albedo, truth):
     return both(a), both(a * (np.sum(a * t) / np.sum(a * a)))
 
 
+def with_target(project):
+    """Names of the photographs that show something of known albedo."""
+    return {r["photograph"] for a in tomllib.loads(Path(project).read_text())["acquisition"] for r in a.get("reference", [])}
+
+
 def light_errors(record, truth):
     """Rows of (ln Lp error, sd, ln La error, sd)."""
     rows = []
@@ -85,7 +93,9 @@ def run(chiaro, project, out, method, log, options=(), truth=None):
     result.error, result.scaled = albedo_errors(albedo, truth)
     found = json.loads((Path(out) / "lights.json").read_text())
     result.lights = light_errors(found, json.loads((known / "lights.json").read_text()))
+    result.photographs = [p["photograph"] for a in found["acquisitions"] for p in a.get("photographs", [])]
     result.references = sum(a.get("references", 0) for a in found["acquisitions"])
+    result.targets = with_target(project)
     sigma = points["sigma"][seen].astype(np.float64)
     result.sigma = float(np.mean(sigma))
     off = np.log(np.maximum(albedo[seen].mean(1), 1e-4) / truth[seen].mean(1))
@@ -124,13 +134,20 @@ LIGHTS_HEADER = """| project | method | ln Lp error (sd), % | within 2 sd | sd o
 MOST_SD, MOST_SD_REFERENCE, MOST_RATIO = 0.06, 0.015, 0.03
 
 
+def lights_rows(name, method, r):
+    """lights_row(), and one more of the photographs that show a target by themselves where each has its own lights."""
+    with_own = [row for photograph, row in zip(r.photographs, r.lights) if photograph in r.targets]
+    own = [lights_row("%s, %s alone" % (name, ", ".join(sorted(r.targets))), method, replace(r, lights=with_own))] if with_own and len(with_own) < len(r.lights) else []
+    return [lights_row(name, method, r)] + own
+
+
 def lights_row(name, method, r):
     """What is asked of the lights themselves: errors that their sd covers, an sd that is small enough, and the ratio of ambient light to flash. Where no ambient light was found, nothing is asked of it."""
     if r.note:
         return "| %s | %s | %s | | | | | | |" % (name, method, r.note)
     rows = np.array(r.lights, dtype=float)
     most = MOST_SD_REFERENCE if r.references else MOST_SD
-    sd = rows[:, 1].min() if r.references else np.median(rows[:, 1])   # photograph by photograph: of the one that shows the target
+    sd = rows[:, 1].min() if r.references else np.median(rows[:, 1])   # where each photograph has its own: of the best, which shows the target
     ratio = rows[:, 2] - rows[:, 0]
     lit = np.isfinite(ratio)
     inside = [int(np.sum((np.abs(rows[:, c]) <= 2 * rows[:, c + 1]) | ~np.isfinite(rows[:, c]))) for c in (0, 2)]

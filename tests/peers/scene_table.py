@@ -38,7 +38,7 @@ def main():
                 name = "%s/%s" % (scene.resolve().name, project.stem)
                 print(chiaro_runs.row(name, method, outcome), flush=True)
                 if method in ("joint", "single"):
-                    lights.append(chiaro_runs.lights_row(name, method, outcome))
+                    lights += chiaro_runs.lights_rows(name, method, outcome)
     if options.lights:
         print("\n" + "\n".join([chiaro_runs.LIGHTS_HEADER] + lights))
 
