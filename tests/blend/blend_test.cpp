@@ -241,19 +241,22 @@ TEST(Blend, MaskedAndSaturatedPixelsAndWhatIsNotFiniteTakeNoPart) {
     }
 }
 
+/// Mean error of the first channel around (0.5, 0.5).
+double error_in_the_middle(const Workplace& w) {
+  double sum = 0;
+  int n = 0;
+  for (const Seen& s : w.result())
+    if (std::abs(s.position.x() - 0.5) < 0.1 && std::abs(s.position.y() - 0.5) < 0.1) sum += std::abs(s.albedo[0] - w.scene.albedo(s.position)[0]), ++n;
+  return sum / n;
+}
+
 TEST(Blend, TheSharperPhotographDecidesTheDetail) {
   AnalyticScene scene = plane_scene();
   scene.albedo = [](const Vec3d& p) { return Vec3f::Constant(static_cast<float>(0.5 + 0.3 * std::sin(2 * 3.14159265 * p.x() / 0.035))); };
   const Workplace w(scene);
   const auto near = w.photograph("near", Vec3d(0.5, 0.5, 0.5), Vec3d(0.5, 0.5, 0));
   const auto far = w.photograph("far", Vec3d(0.5, 0.5, 3), Vec3d(0.5, 0.5, 0));
-  const auto error = [&] {
-    double sum = 0;
-    int n = 0;
-    for (const Seen& s : w.result())
-      if (std::abs(s.position.x() - 0.5) < 0.1 && std::abs(s.position.y() - 0.5) < 0.1) sum += std::abs(s.albedo[0] - scene.albedo(s.position)[0]), ++n;
-    return sum / n;
-  };
+  const auto error = [&] { return error_in_the_middle(w); };
   w.run({near});
   const double near_alone = error();
   w.run({far});
@@ -271,13 +274,7 @@ TEST(Blend, APhotographOutOfFocusDoesNot) {
   blurred.paint = [](int, int, const Vec3f&) { return Vec3f::Constant(0.5f); };
   auto near = w.photograph("near", Vec3d(0.5, 0.5, 0.5), Vec3d(0.5, 0.5, 0), blurred);
   const auto far = w.photograph("far", Vec3d(0.5, 0.5, 1.2), Vec3d(0.5, 0.5, 0));
-  const auto error = [&] {
-    double sum = 0;
-    int n = 0;
-    for (const Seen& s : w.result())
-      if (std::abs(s.position.x() - 0.5) < 0.1 && std::abs(s.position.y() - 0.5) < 0.1) sum += std::abs(s.albedo[0] - scene.albedo(s.position)[0]), ++n;
-    return sum / n;
-  };
+  const auto error = [&] { return error_in_the_middle(w); };
   w.run({far});
   const double far_alone = error();
   w.run({near, far});
