@@ -3,7 +3,7 @@
 //   ingest_bench --points 20000000 --format las --normals none --folder /data/scratch [--memory 1GiB] [--threads 2] [--repeat 3] [--peer potree=/path/PotreeConverter]
 //
 // The cloud is a bumpy sphere of 10 m radius with 1 mm of noise, colours, 0.1 mm steps, in random order: the worst locality a file can have. It is made in
-// --folder once and kept (--delete removes it at the end). --keep leaves the last store there as bench.chiaro, --verify checks it. Before
+// --folder once and kept (--delete removes it at the end); a LAZ file has to be made from the LAS file by another program. --keep leaves the last store there as bench.chiaro, --verify checks it. Before
 // each run the cloud's pages are dropped from the cache; times include every sync to disk. Processor time says more than the clock where others work too.
 #include <fcntl.h>
 #include <sys/resource.h>
@@ -344,7 +344,7 @@ Options parse(int count, char** words) {
     else if (word == "--peer") o.peer = words[++i];
     else throw Error(concat(word, ": unknown; see the head of ingest_bench.cpp"));
   }
-  if (o.format != "las" && o.format != "ply" && o.format != "xyz") throw Error("--format is las, ply or xyz");
+  if (o.format != "las" && o.format != "laz" && o.format != "ply" && o.format != "xyz") throw Error("--format is las, laz, ply or xyz");
   if (!o.peer.empty() && !o.peer.starts_with("potree=")) throw Error("--peer is potree=/path/to/PotreeConverter");
   return o;
 }
@@ -356,6 +356,7 @@ int main(int count, char** words) {
     const Options options = parse(count, words);
     make_folder(options.folder);
     const fs::path cloud = options.folder / concat("cloud_", options.points, ".", options.format);
+    if (!fs::exists(cloud) && options.format == "laz") throw Error(concat(cloud.string(), ": is not there; make the .las, compress it with another program, e.g. laspy"));
     if (!fs::exists(cloud)) write_cloud(cloud, options);
     std::printf("%llu points, %s (%.1f B/point), normals %s, memory %s\n", static_cast<unsigned long long>(options.points), options.format.c_str(),
                 static_cast<double>(fs::file_size(cloud)) / static_cast<double>(options.points), options.normals.c_str(), format_bytes(options.memory).c_str());
