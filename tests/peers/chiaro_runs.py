@@ -18,7 +18,7 @@ class Outcome:
     lights: list = field(default_factory=list)  # (ln Lp error, its sd, ln La error, its sd) per acquisition or per photograph
     photographs: list = field(default_factory=list)   # name of each row of `lights`; empty where all share theirs
     references: int = 0                         # targets of known albedo that the project names
-    targets: set = field(default_factory=set)   # photographs that show them
+    targets: list = field(default_factory=list)   # photographs that show them
     z_rms: float = np.nan                       # of ln(albedo / truth) over sigma
     z_robust: float = np.nan                    # 1.48 median |z|
     within_two: float = np.nan                  # share of |z| < 2
@@ -95,7 +95,7 @@ def run(chiaro, project, out, method, log, options=(), truth=None):
     result.lights = light_errors(found, json.loads((known / "lights.json").read_text()))
     result.photographs = [p["photograph"] for a in found["acquisitions"] for p in a.get("photographs", [])]
     result.references = sum(a.get("references", 0) for a in found["acquisitions"])
-    result.targets = with_target(project)
+    result.targets = sorted(with_target(project))
     sigma = points["sigma"][seen].astype(np.float64)
     result.sigma = float(np.mean(sigma))
     off = np.log(np.maximum(albedo[seen].mean(1), 1e-4) / truth[seen].mean(1))
@@ -137,7 +137,7 @@ MOST_SD, MOST_SD_REFERENCE, MOST_RATIO = 0.06, 0.015, 0.03
 def lights_rows(name, method, r):
     """lights_row(), and one more of the photographs that show a target by themselves where each has its own lights."""
     with_own = [row for photograph, row in zip(r.photographs, r.lights) if photograph in r.targets]
-    own = [lights_row("%s, %s alone" % (name, ", ".join(sorted(r.targets))), method, replace(r, lights=with_own))] if with_own and len(with_own) < len(r.lights) else []
+    own = [lights_row("%s, %s alone" % (name, ", ".join(r.targets)), method, replace(r, lights=with_own))] if with_own and len(with_own) < len(r.lights) else []
     return [lights_row(name, method, r)] + own
 
 
