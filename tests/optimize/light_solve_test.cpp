@@ -89,15 +89,24 @@ TEST(LightSolve, AReferenceFixesTheScale) {
   EXPECT_LT(std::sqrt(s.covariance(0, 0)), 0.02);
 }
 
-// On a convex body the samples fix the ratio of the lights and a reference the scale, with its own error where the flash lights it, and with that of the sky's
-// share (3 %) besides where it lies in the flash's shadow: sd = 1 / sqrt(1 / prior^2 + 1 / error^2).
-TEST(LightSolve, AReferenceInShadowSaysLessThanOneInLight) {
+std::vector<LightSample> samples_of_a_convex_body() {
   Truth truth;
   truth.gathered = 0;
-  const auto samples = make_samples(truth, 400);
+  return make_samples(truth, 400);
+}
+
+LightSolveOptions calibrated_to_five_percent() {
   LightSolveOptions options;
   options.flash_ln_mean = std::log(12.0);
   options.flash_ln_sd = 0.05;
+  return options;
+}
+
+// On a convex body the samples fix the ratio of the lights and a reference the scale, with its own error where the flash lights it, and with that of the sky's
+// share (3 %) besides where it lies in the flash's shadow: sd = 1 / sqrt(1 / prior^2 + 1 / error^2).
+TEST(LightSolve, AReferenceInShadowSaysLessThanOneInLight) {
+  const auto samples = samples_of_a_convex_body();
+  const LightSolveOptions options = calibrated_to_five_percent();
   const auto sd = [&](float flash, float sky) {
     ReferenceSample reference;
     reference.sample.flash = flash;
@@ -114,12 +123,8 @@ TEST(LightSolve, AReferenceInShadowSaysLessThanOneInLight) {
 
 // The same for light whose source nobody sees (half of it may be wrong) and for a normal that may be off; here half of the light is gathered, or the flash grazes.
 TEST(LightSolve, ATargetSaysLessWhereUnseenSurfacesLightItOrItsNormalIsUncertain) {
-  Truth truth;
-  truth.gathered = 0;
-  const auto samples = make_samples(truth, 400);
-  LightSolveOptions options;
-  options.flash_ln_mean = std::log(12.0);
-  options.flash_ln_sd = 0.05;
+  const auto samples = samples_of_a_convex_body();
+  LightSolveOptions options = calibrated_to_five_percent();
   options.bounce_sd = 0;
   const auto sd = [&](float gathered, double unknown_share, float tan_flash, double normal_rad) {
     ReferenceSample reference;
