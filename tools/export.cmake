@@ -1,1 +1,1 @@
-add_module(tools_export SOURCES export_points.cpp fill_unseen.cpp inserted_points.cpp DEPENDS stream_store stream_cloud PRIVATE_DEPENDS nlohmann_json::nlohmann_json)
+add_module(tools_export SOURCES export_points.cpp export_records.cpp export_rows.cpp fill_unseen.cpp inserted_points.cpp source_files.cpp DEPENDS stream_store stream_cloud PRIVATE_DEPENDS nlohmann_json::nlohmann_json)

@@ -1,321 +1,28 @@
 #include "tools/export_points.h"
 
+#include <sys/stat.h>
+
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <optional>
 #include <vector>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
-#include "stream/base/hash.h"
 #include "stream/base/parallel.h"
 #include "stream/cloud/point_stream.h"
 #include "stream/store/layer.h"
-#include "tools/fill_unseen.h"
+#include "tools/export_records.h"
+#include "tools/export_rows.h"
 #include "tools/inserted_points.h"
+#include "tools/source_files.h"
 
 namespace chiaro::tools {
 namespace {
 
-using stream::PointProperty;
-using stream::ScalarType;
-
-constexpr std::uint16_t kMidGrey16 = 128 * 257;
+constexpr std::uint64_t kMostInBucket = 0xfffffffeu;
 constexpr std::size_t kReadPoints = 16384, kReadBytes = 256;   // points read at once, and what a reader holds for each
-
-/// What the store knows about a point, on its way from the leaves' order to the input's.
-struct PointRecord {
-  std::uint64_t source = 0;
-  std::array<double, 3> position{};
-  std::array<float, 3> normal{}, albedo{};
-  float sigma = 0, position_error = 0;   ///< largest difference to the source that quantisation explains
-  std::array<std::uint16_t, 3> colour{};
-  std::uint16_t photos = 0;
-};
-static_assert(sizeof(PointRecord) == 72);
-
-std::uint8_t srgb_8bit(float linear) {
-  if (!(linear > 0)) return 0;
-  if (linear >= 1) return 255;
-  const double v = linear <= 0.0031308 ? 12.92 * linear : 1.055 * std::pow(static_cast<double>(linear), 1 / 2.4) - 0.055;
-  return static_cast<std::uint8_t>(std::lround(255 * v));
-}
-
-// ---- the leaves' side ----
-
-struct LeafRecords {
-  std::vector<PointRecord> points;
-  std::uint64_t unseen = 0, filled = 0;
-};
-
-/// Colour of layer "input", 3 x u16 a surfel.
-std::vector<std::array<std::uint16_t, 3>> input_colours(const stream::Store& store, const std::optional<stream::Layer>& input, std::uint32_t leaf, std::uint32_t count) {
-  if (input) return stream::read_colour(*input, store, leaf);
-  return std::vector<std::array<std::uint16_t, 3>>(count, {kMidGrey16, kMidGrey16, kMidGrey16});
-}
-
-class LeafSource {
- public:
-  LeafSource(const stream::Store& store, const ExportOptions& options) : store_(store), fill_(options.fill) {
-    if (!options.layer.empty()) layer_.emplace(store, options.layer);
-    if (stream::has_layer(store, "input")) input_.emplace(store, "input");
-  }
-
-  LeafRecords read(std::uint32_t leaf) const {
-    const stream::Chunk chunk = store_.read_chunk(leaf);
-    const std::vector<std::uint64_t> sources = store_.read_sources(leaf);
-    const auto colours = input_colours(store_, input_, leaf, chunk.count);
-    stream::AlbedoValues values = albedo(chunk);
-    LeafRecords records;
-    for (const Vec3f& a : values.albedo) records.unseen += !a.allFinite();
-    if (fill_ && layer_) records.filled = fill_unseen(store_, *layer_, chunk, values.albedo);
-    records.points.resize(chunk.count);
-    for (std::uint32_t i = 0; i < chunk.count; ++i) {
-      const stream::Surfel s = chunk.surfel(i);
-      PointRecord& r = records.points[i];
-      r.source = sources[i];
-      for (int c = 0; c < 3; ++c) {
-        r.position[static_cast<std::size_t>(c)] = s.position_in_world[c];
-        r.normal[static_cast<std::size_t>(c)] = s.normal[c];
-        r.albedo[static_cast<std::size_t>(c)] = values.albedo[i][c];
-      }
-      r.sigma = values.sigma[i];
-      r.photos = values.photos[i];
-      r.colour = colours[i];
-      r.position_error = static_cast<float>(2 * chunk.frame.step);
-    }
-    return records;
-  }
-
- private:
-  stream::AlbedoValues albedo(const stream::Chunk& chunk) const {
-    if (layer_) return read_albedo(*layer_, store_, chunk.index);
-    constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
-    return {std::vector<Vec3f>(chunk.count, Vec3f::Constant(kNaN)), std::vector<float>(chunk.count, kNaN), std::vector<std::uint16_t>(chunk.count, 0)};
-  }
-
-  const stream::Store& store_;
-  bool fill_;
-  std::optional<stream::Layer> layer_, input_;
-};
-
-// ---- buckets ----
-
-/// Records sorted into buckets of consecutive source indices, in a scratch file; each bucket has its own region, filled through a small buffer.
-class Buckets {
- public:
-  Buckets(const std::filesystem::path& path, std::uint64_t num_sources, std::uint64_t per_bucket, std::size_t buffer_records)
-      : file_(path, File::Mode::kCreate), per_bucket_(per_bucket), buffer_records_(buffer_records),
-        buffers_(static_cast<std::size_t>((num_sources + per_bucket - 1) / per_bucket)), written_(buffers_.size()) {}
-
-  std::size_t count() const { return buffers_.size(); }
-  std::uint64_t first_source(std::size_t bucket) const { return bucket * per_bucket_; }
-
-  void add(const PointRecord& record) {
-    const auto bucket = static_cast<std::size_t>(record.source / per_bucket_);
-    if (bucket >= buffers_.size()) throw Error(concat(file_.path().string(), ": source index ", record.source, " lies beyond the points that were read"));
-    if (buffers_[bucket].empty()) buffers_[bucket].reserve(buffer_records_);
-    buffers_[bucket].push_back(record);
-    if (buffers_[bucket].size() >= buffer_records_) flush(bucket);
-  }
-  void flush_all() {
-    for (std::size_t b = 0; b < buffers_.size(); ++b) {
-      flush(b);
-      buffers_[b].shrink_to_fit();
-    }
-  }
-  std::vector<PointRecord> read(std::size_t bucket) const {
-    std::vector<PointRecord> records(written_[bucket]);
-    file_.read_at(first_source(bucket) * sizeof(PointRecord), records.data(), records.size() * sizeof(PointRecord));
-    return records;
-  }
-
- private:
-  void flush(std::size_t bucket) {
-    auto& buffer = buffers_[bucket];
-    if (written_[bucket] + buffer.size() > per_bucket_) throw Error(concat(file_.path().string(), ": more points than sources in bucket ", bucket));
-    file_.write_at((first_source(bucket) + written_[bucket]) * sizeof(PointRecord), buffer.data(), buffer.size() * sizeof(PointRecord));
-    written_[bucket] += buffer.size();
-    buffer.clear();
-  }
-
-  File file_;
-  std::uint64_t per_bucket_;
-  std::size_t buffer_records_;
-  std::vector<std::vector<PointRecord>> buffers_;
-  std::vector<std::uint64_t> written_;
-};
-
-// ---- the source files' side ----
-
-/// Bytes of one carried property inside a file's packed extras.
-struct CarriedField {
-  std::size_t offset = 0, bytes = 0;
-};
-
-std::optional<CarriedField> find_field(const stream::PointSchema& schema, const PointProperty& wanted) {
-  std::size_t offset = 0;
-  for (const PointProperty& p : schema.extras) {
-    if (p.name == wanted.name && p.type == wanted.type) return CarriedField{offset, stream::scalar_bytes(p.type)};
-    offset += stream::scalar_bytes(p.type);
-  }
-  return std::nullopt;
-}
-
-/// The source files one after the other, as one run of points. Only made while all of them are what they were at ingest.
-class SourceFiles {
- public:
-  SourceFiles(const stream::Manifest& manifest, bool with_albedo, bool with_inserted, Reporter& report) : manifest_(manifest) {
-    for (const std::string& file : manifest.source_files) {
-      const auto reader = stream::open_points(file);
-      schemas_.push_back(reader->schema());
-      position_is_double_ |= reader->schema().position_is_double;
-    }
-    choose_carried(with_albedo, with_inserted, report);
-  }
-
-  static bool unchanged(const stream::Manifest& manifest, std::string& why) {
-    if (manifest.source_files.empty() || manifest.source_files.size() != manifest.source_fingerprints.size() || manifest.source_files.size() != manifest.source_points.size()) {
-      why = "the store does not name its source files";
-      return false;
-    }
-    for (std::size_t i = 0; i < manifest.source_files.size(); ++i) {
-      std::error_code code;
-      if (!std::filesystem::is_regular_file(manifest.source_files[i], code)) {
-        why = concat(manifest.source_files[i], " is not there any more");
-        return false;
-      }
-      if (file_fingerprint(manifest.source_files[i]) != manifest.source_fingerprints[i]) {
-        why = concat(manifest.source_files[i], " has changed since it was ingested");
-        return false;
-      }
-    }
-    return true;
-  }
-
-  bool position_is_double() const { return position_is_double_; }
-  const std::vector<PointProperty>& carried() const { return carried_; }
-
-  /// The next points, at most max_points, all of one file. throws Error when a file has fewer points than at ingest.
-  const stream::PointBlock& read(std::size_t max_points) {
-    while (!reader_ || left_in_file_ == 0) {
-      file_ = reader_ ? file_ + 1 : 0;
-      if (file_ >= schemas_.size()) throw Error("source files: fewer points than the store counts");
-      reader_ = stream::open_points(manifest_.source_files[file_]);
-      left_in_file_ = manifest_.source_points[file_];
-      fields_.clear();
-      for (const PointProperty& p : carried_) fields_.push_back(*find_field(schemas_[file_], p));
-    }
-    if (!reader_->read(block_, static_cast<std::size_t>(std::min<std::uint64_t>(max_points, left_in_file_))))
-      throw Error(concat(manifest_.source_files[file_], ": ends early, ", left_in_file_, " of ", manifest_.source_points[file_], " points are missing"));
-    left_in_file_ -= block_.size();
-    return block_;
-  }
-  /// Copies the carried properties of point i of the last block.
-  std::byte* copy_carried(std::size_t i, std::byte* to) const {
-    const std::byte* from = block_.extras.data() + i * schemas_[file_].extra_bytes();
-    for (const CarriedField& f : fields_) {
-      std::memcpy(to, from + f.offset, f.bytes);
-      to += f.bytes;
-    }
-    return to;
-  }
-
- private:
-  void choose_carried(bool with_albedo, bool with_inserted, Reporter& report) {
-    std::vector<std::string> ours{"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"};
-    if (with_albedo) ours.insert(ours.end(), {"albedo_r", "albedo_g", "albedo_b", "sigma", "photos"});
-    if (with_inserted) ours.push_back("inserted");
-    for (const PointProperty& p : schemas_.front().extras) {
-      if (std::find(ours.begin(), ours.end(), p.name) != ours.end()) {
-        report.note(concat("export: the input's property \"", p.name, "\" is replaced by the result's"));
-      } else if (std::all_of(schemas_.begin(), schemas_.end(), [&](const stream::PointSchema& s) { return find_field(s, p).has_value(); })) {
-        carried_.push_back(p);
-      } else {
-        report.note(concat("export: the input's property \"", p.name, "\" is left out: not every source file has it"));
-      }
-    }
-  }
-
-  const stream::Manifest& manifest_;
-  std::vector<stream::PointSchema> schemas_;
-  bool position_is_double_ = false;
-  std::vector<PointProperty> carried_;
-  std::unique_ptr<stream::PointReader> reader_;
-  std::size_t file_ = 0;
-  std::uint64_t left_in_file_ = 0;
-  std::vector<CarriedField> fields_;
-  stream::PointBlock block_;
-};
-
-// ---- rows ----
-
-/// Packs rows in the order of the contract.
-class RowPacker {
- public:
-  RowPacker(bool double_positions, bool wide_colours, bool with_albedo, bool with_inserted, const std::vector<PointProperty>& carried)
-      : double_positions_(double_positions), wide_colours_(wide_colours), with_albedo_(with_albedo), with_inserted_(with_inserted) {
-    const ScalarType position = double_positions ? ScalarType::kF64 : ScalarType::kF32;
-    for (const char* name : {"x", "y", "z"}) properties_.push_back({name, position});
-    for (const char* name : {"nx", "ny", "nz"}) properties_.push_back({name, ScalarType::kF32});
-    for (const char* name : {"red", "green", "blue"}) properties_.push_back({name, wide_colours ? ScalarType::kU16 : ScalarType::kU8});
-    if (with_albedo) {
-      for (const char* name : {"albedo_r", "albedo_g", "albedo_b", "sigma"}) properties_.push_back({name, ScalarType::kF32});
-      properties_.push_back({"photos", ScalarType::kU16});
-    }
-    if (with_inserted) properties_.push_back({"inserted", ScalarType::kU8});
-    first_carried_ = properties_.size();
-    properties_.insert(properties_.end(), carried.begin(), carried.end());
-    for (const PointProperty& p : properties_) row_bytes_ += stream::scalar_bytes(p.type);
-  }
-  const std::vector<PointProperty>& properties() const { return properties_; }
-  std::size_t row_bytes() const { return row_bytes_; }
-
-  /// Carried properties of a point that no source file has: not a number, whole numbers 0.
-  std::byte* pack_nothing_carried(std::byte* at) const {
-    for (std::size_t i = first_carried_; i < properties_.size(); ++i) {
-      const std::size_t bytes = stream::scalar_bytes(properties_[i].type);
-      constexpr double kNaN64 = std::numeric_limits<double>::quiet_NaN();
-      constexpr float kNaN32 = std::numeric_limits<float>::quiet_NaN();
-      if (properties_[i].type == ScalarType::kF64) std::memcpy(at, &kNaN64, bytes);
-      else if (properties_[i].type == ScalarType::kF32) std::memcpy(at, &kNaN32, bytes);
-      else std::memset(at, 0, bytes);
-      at += bytes;
-    }
-    return at;
-  }
-
-  /// Writes all but the carried properties; returns where those go.
-  std::byte* pack(const PointRecord& r, const Vec3d& position, std::uint8_t inserted, std::byte* at) const {
-    const auto put = [&at](const auto& value) {
-      std::memcpy(at, &value, sizeof value);
-      at += sizeof value;
-    };
-    for (int c = 0; c < 3; ++c) double_positions_ ? put(position[c]) : put(static_cast<float>(position[c]));
-    put(r.normal);
-    const bool has_albedo = std::isfinite(r.albedo[0]) && std::isfinite(r.albedo[1]) && std::isfinite(r.albedo[2]);
-    for (std::size_t c = 0; c < 3; ++c) {
-      const auto colour = has_albedo ? static_cast<std::uint16_t>(257 * srgb_8bit(r.albedo[c])) : r.colour[c];
-      wide_colours_ ? put(colour) : put(static_cast<std::uint8_t>((colour + 128) / 257));
-    }
-    if (with_albedo_) {
-      put(r.albedo);
-      put(r.sigma);
-      put(r.photos);
-    }
-    if (with_inserted_) put(inserted);
-    return at;
-  }
-
- private:
-  bool double_positions_, wide_colours_, with_albedo_, with_inserted_;
-  std::vector<PointProperty> properties_;
-  std::size_t first_carried_ = 0;
-  std::size_t row_bytes_ = 0;
-};
 
 /// True where single precision is coarser than the store.
 bool extent_needs_double(const stream::Manifest& manifest) {
@@ -329,6 +36,11 @@ Box3d grown_bounds(const stream::Manifest& manifest) {
   return {manifest.bounds.min - step, manifest.bounds.max + step};
 }
 
+bool on_one_disk(const std::filesystem::path& a, const std::filesystem::path& b) {
+  struct stat in_a {}, in_b {};
+  return ::stat(a.c_str(), &in_a) == 0 && ::stat(b.c_str(), &in_b) == 0 && in_a.st_dev == in_b.st_dev;
+}
+
 class Exporter {
  public:
   Exporter(const stream::Store& store, const ExportOptions& options, MemoryBudget& budget, Reporter& report)
@@ -336,27 +48,22 @@ class Exporter {
     const stream::Manifest& manifest = store.manifest();
     if (with_albedo()) inserted_ = open_inserted(store, options.layer);
     if (inserted_) stats_.points_inserted = inserted_->seen();
-    std::string why;
-    if (SourceFiles::unchanged(manifest, why)) {
-      sources_.emplace(manifest, with_albedo(), inserted_.has_value(), report);
-    } else {
-      stats_.positions_from_store = true;
-      report.note(concat("export: ", why, ": positions come from the store, further properties of the input are left out"));
-    }
+    open_sources();
     const bool wide = sources_ ? sources_->position_is_double() : extent_needs_double(manifest);
     const bool wide_colours = options.file.extension() == ".las" || options.file.extension() == ".LAS";  // its fields have 16 bits anyway
-    rows_.emplace(wide, wide_colours, with_albedo(), inserted_.has_value(), sources_ ? sources_->carried() : std::vector<PointProperty>{});
+    rows_.emplace(wide, wide_colours, with_albedo(), inserted_.has_value(), sources_ ? sources_->carried() : std::vector<stream::PointProperty>{});
     for (const std::uint64_t n : manifest.source_points) num_sources_ += n;
     num_sources_ = std::max(num_sources_, manifest.points_read);
   }
 
   ExportStats run(const std::filesystem::path& scratch) {
+    require_space(scratch);
     const std::uint64_t share = budget_.free_bytes() / 4;
-    const std::uint64_t per_bucket = std::clamp<std::uint64_t>(share / (sizeof(PointRecord) + rows_->row_bytes() + sizeof(std::uint32_t)), 1024, std::max<std::uint64_t>(1024, num_sources_));
+    const std::uint64_t per_bucket = std::clamp<std::uint64_t>(share / (sizeof(PointRecord) + rows_->row_bytes() + sizeof(std::uint32_t)), 1024, std::clamp<std::uint64_t>(num_sources_, 1024, kMostInBucket));
     const std::uint64_t num_buckets = (num_sources_ + per_bucket - 1) / per_bucket;
     const auto buffer_records = static_cast<std::size_t>(std::clamp<std::uint64_t>(share / std::max<std::uint64_t>(1, num_buckets) / sizeof(PointRecord), 8, 4096));
     const ScratchFolder folder(scratch);
-    Buckets buckets(folder.path() / "points.buckets", num_sources_, per_bucket, buffer_records);
+    RecordBuckets buckets(folder.path() / "points.buckets", num_sources_, per_bucket, buffer_records);
     {
       const BudgetLease lease(budget_, num_buckets * buffer_records * sizeof(PointRecord), "buffers of the export");
       fill_buckets(buckets);
@@ -372,8 +79,39 @@ class Exporter {
  private:
   bool with_albedo() const { return !options_.layer.empty(); }
 
-  void fill_buckets(Buckets& buckets) {
-    const LeafSource source(store_, options_);
+  /// What cannot be read again does not stand in the way of the result.
+  void open_sources() {
+    std::string why;
+    if (SourceFiles::unchanged(store_.manifest(), why)) {
+      std::vector<std::string> ours{"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"};
+      if (with_albedo()) ours.insert(ours.end(), {"albedo_r", "albedo_g", "albedo_b", "sigma", "photos"});
+      if (inserted_) ours.push_back("inserted");
+      try {
+        sources_.emplace(store_.manifest(), ours, budget_.free_bytes() / 2, report_);
+        return;
+      } catch (const Error& e) {
+        why = e.what();
+      }
+    }
+    stats_.positions_from_store = true;
+    report_.note(concat("export: ", why, ": positions come from the store, further properties of the input are left out"));
+  }
+
+  /// A disk that is too small is met now and not hours later.
+  void require_space(const std::filesystem::path& scratch) const {
+    const std::uint64_t points = store_.manifest().points_stored, result = (points + stats_.points_inserted) * rows_->row_bytes(), records = points * sizeof(PointRecord);
+    const std::filesystem::path folder = options_.file.has_parent_path() ? options_.file.parent_path() : ".";
+    const auto require = [&](const std::filesystem::path& where, std::uint64_t bytes) {
+      const std::uint64_t free = options_.free_bytes(where);
+      if (free < bytes) throw Error(concat(where.string(), ": no space: the export needs ", format_bytes(bytes), ", the disk has ", format_bytes(free), " free"));
+    };
+    if (on_one_disk(scratch, folder)) return require(folder, records + result);
+    require(scratch, records);
+    require(folder, result);
+  }
+
+  void fill_buckets(RecordBuckets& buckets) {
+    const LeafSource source(store_, options_.layer, options_.fill);
     const auto& leaves = store_.leaves();
     std::uint32_t largest = 0;
     for (const std::uint32_t leaf : leaves) largest = std::max(largest, store_.chunks()[leaf].count);
@@ -391,7 +129,7 @@ class Exporter {
         for (std::size_t b = b0; b < b1; ++b) batch[b] = source.read(leaves[first + b]);
       });
       for (const LeafRecords& records : batch) {
-        for (const PointRecord& r : records.points) buckets.add(r);
+        for (std::size_t i = 0; i < records.points.size(); ++i) buckets.add(records.sources[i], records.points[i]);
         stats_.points_unseen += records.unseen;
         stats_.points_filled += records.filled;
         done += records.points.size();
@@ -402,7 +140,7 @@ class Exporter {
     report_.end();
   }
 
-  void write_rows(const Buckets& buckets, std::uint64_t per_bucket) {
+  void write_rows(const RecordBuckets& buckets, std::uint64_t per_bucket) {
     const stream::Manifest& manifest = store_.manifest();
     stream::PointWriterOptions writer_options;
     writer_options.num_points = manifest.points_stored + stats_.points_inserted;
@@ -420,7 +158,7 @@ class Exporter {
       const std::vector<PointRecord> records = buckets.read(b);
       const std::uint64_t first = buckets.first_source(b), end = std::min(num_sources_, first + per_bucket);
       std::vector<std::uint32_t> place(static_cast<std::size_t>(end - first), kAbsent);
-      for (std::size_t i = 0; i < records.size(); ++i) place[static_cast<std::size_t>(records[i].source - first)] = static_cast<std::uint32_t>(i);
+      for (std::size_t i = 0; i < records.size(); ++i) place[records[i].source] = static_cast<std::uint32_t>(i);
       for (std::uint64_t at = first; at < end;) {
         report_.check();
         at += write_block(records, place, static_cast<std::size_t>(at - first), static_cast<std::size_t>(std::min<std::uint64_t>(read_points_, end - at)), *writer);
@@ -441,7 +179,7 @@ class Exporter {
     for (std::size_t i = 0; i < count; ++i) {
       if (place[offset + i] == kAbsent) continue;   // rejected at ingest
       const PointRecord& r = records[place[offset + i]];
-      at = rows_->pack(r, position(r, block, i), 0, at);
+      at = rows_->pack(r, position(r, block ? &block->position[i] : nullptr), 0, at);
       if (block) at = sources_->copy_carried(i, at);
     }
     const auto written = static_cast<std::size_t>(at - row_buffer_.data()) / rows_->row_bytes();
@@ -452,9 +190,7 @@ class Exporter {
 
   /// After all others, by leaf. What no photograph sees is no point.
   void write_inserted(stream::PointWriter& writer) {
-    ExportOptions plain = options_;
-    plain.fill = false;
-    const LeafSource source(*inserted_->store, plain);
+    const LeafSource source(*inserted_->store, options_.layer, false);
     for (const std::uint32_t leaf : inserted_->store->leaves()) {
       report_.check();
       const LeafRecords records = source.read(leaf);
@@ -464,7 +200,7 @@ class Exporter {
         std::byte* at = row_buffer_.data();
         for (std::size_t i = first; i < end; ++i) {
           const PointRecord& r = records.points[i];
-          if (r.photos > 0) at = rows_->pack_nothing_carried(rows_->pack(r, Vec3d(r.position[0], r.position[1], r.position[2]), 1, at));
+          if (r.photos > 0) at = rows_->pack_nothing_carried(rows_->pack(r, stored_position(*inserted_->store, r), 1, at));
         }
         const auto written = static_cast<std::size_t>(at - row_buffer_.data()) / rows_->row_bytes();
         writer.write(row_buffer_.data(), written);
@@ -474,11 +210,16 @@ class Exporter {
     }
   }
 
-  Vec3d position(const PointRecord& r, const stream::PointBlock* block, std::size_t i) {
-    const Vec3d stored(r.position[0], r.position[1], r.position[2]);
-    if (!block) return stored;
-    const Vec3d& exact = block->position[i];
-    if ((exact - stored).cwiseAbs().maxCoeff() <= r.position_error) return exact;
+  static Vec3d stored_position(const stream::Store& store, const PointRecord& r) {
+    const stream::ChunkFrame frame = store.frame(r.leaf);
+    return frame.origin_in_world + frame.step * Vec3d(r.position[0] + 0.5, r.position[1] + 0.5, r.position[2] + 0.5);
+  }
+
+  /// exact: in the source file, null where that is not read. Stored positions are within two steps of it, unless the scan was moved.
+  Vec3d position(const PointRecord& r, const Vec3d* exact) {
+    const Vec3d stored = stored_position(store_, r);
+    if (!exact) return stored;
+    if ((*exact - stored).cwiseAbs().maxCoeff() <= 2 * store_.frame(r.leaf).step) return *exact;
     ++stats_.points_moved;
     return stored;
   }

@@ -2,9 +2,11 @@
 #pragma once
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <string>
 
 #include "stream/base/budget.h"
+#include "stream/base/file.h"
 #include "stream/base/report.h"
 #include "stream/store/store.h"
 
@@ -14,6 +16,7 @@ struct ExportOptions {
   std::filesystem::path file;      ///< .ply, .las or .pcd
   std::string layer = "albedo";    ///< empty: geometry and input colour alone
   bool fill = false;               ///< unseen points take albedo and colour from their neighbours; they stay marked by photos = 0 and sigma NaN
+  std::function<std::uint64_t(const std::filesystem::path&)> free_bytes = free_disk_bytes;   ///< of the disk that holds a folder
 };
 
 struct ExportStats {
@@ -27,9 +30,9 @@ struct ExportStats {
 /// albedo_r albedo_g albedo_b (float, linear), sigma (float), photos (u16), with inserted points inserted (u8, 0 or 1), then the input's own further properties as they were.
 /// Unseen: albedo and sigma NaN, photos 0, colour of the input or mid-grey 128. Rejected points are left out.
 /// Positions and further properties are re-read from the source files while these are unchanged; otherwise positions come from the store, further
-/// properties are dropped, and a note says so. Properties that not all source files share are dropped too.
+/// properties are dropped, and a note says so; so too where a file cannot be read within the budget. Properties that not all source files share are dropped too.
 /// Points that were inserted beside the layer follow after all others, where a photograph sees them; the input's own properties are NaN there, whole numbers 0.
-/// scratch: a folder for about 72 bytes a point. Memory: two passes over buckets of consecutive points, as the budget allows.
+/// scratch: a folder for 44 bytes a point; room for them and for the result is asked for before anything is written. Memory: two passes over buckets of consecutive points, as the budget allows.
 /// throws Error (no such layer, no space, unknown extension), Cancelled.
 ExportStats export_points(const stream::Store& store, const ExportOptions& options, const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report);
 

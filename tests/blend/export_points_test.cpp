@@ -245,6 +245,26 @@ TEST_F(ExportPoints, BudgetAndThreadsDoNotChangeTheBytes) {
   EXPECT_FALSE(std::filesystem::exists(folder.path() / "d.ply"));
 }
 
+TEST_F(ExportPoints, ADiskThatIsTooSmallIsMetBeforeAnythingIsWritten) {
+  const stream::Store store = build();
+  ExportOptions options = to("albedo.ply");
+  options.layer.clear();
+  // 3 doubles, 3 floats, 3 bytes and 8 bytes carried a point, and 44 in between
+  const std::uint64_t needed = store.manifest().points_stored * (24 + 12 + 3 + 8 + 44);
+  options.free_bytes = [&](const std::filesystem::path&) { return needed - 1; };
+  MemoryBudget budget(kPlenty);
+  try {
+    export_points(store, options, folder.path() / "scratch", budget, report);
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_NE(std::string(e.what()).find("no space: the export needs"), std::string::npos) << e.what();
+  }
+  EXPECT_FALSE(std::filesystem::exists(folder.path() / "albedo.ply"));
+  EXPECT_TRUE(std::filesystem::is_empty(folder.path() / "scratch"));
+  options.free_bytes = [&](const std::filesystem::path&) { return needed; };
+  EXPECT_EQ(run(store, options).points, store.manifest().points_stored);
+}
+
 TEST_F(ExportPoints, FillGivesUnseenPointsTheirNeighboursAlbedoAndKeepsThemMarked) {
   const stream::Store store = build();
   write_layer(store);
@@ -314,6 +334,42 @@ TEST_F(ExportPoints, AChangedSourceFileGivesPositionsOfTheStoreAndANote) {
   report.notes.clear();
   EXPECT_TRUE(run(store, to("albedo.ply")).positions_from_store);
   EXPECT_NE(report.notes.find("not there any more"), std::string::npos) << report.notes;
+}
+
+/// PCD as PCL compresses it, but with literal runs alone.
+std::string compressed_pcd(std::size_t count) {
+  std::string planar;
+  for (int axis = 0; axis < 3; ++axis)
+    for (std::size_t i = 0; i < count; ++i) {
+      const auto u = uniform01x4(3, Purpose::kTest, i, 0);
+      append(planar, axis == 2 ? 0.0f : u[static_cast<std::size_t>(axis)]);
+    }
+  std::string packed;
+  for (std::size_t at = 0; at < planar.size(); at += 32) {
+    const std::string run = planar.substr(at, 32);
+    packed += static_cast<char>(run.size() - 1);
+    packed += run;
+  }
+  const std::string n = std::to_string(count);
+  std::string text = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH " + n + "\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS " + n + "\nDATA binary_compressed\n";
+  append(text, static_cast<std::uint32_t>(packed.size()));
+  append(text, static_cast<std::uint32_t>(planar.size()));
+  return text + packed;
+}
+
+TEST_F(ExportPoints, AFileThatTheBudgetCannotHoldOnceMoreCostsItsPropertiesAndNotTheResult) {
+  constexpr std::size_t kMany = 100000;
+  write_text(folder.path() / "cloud.pcd", compressed_pcd(kMany));
+  const stream::Store store = build({folder.path() / "cloud.pcd"});
+  ExportOptions options = to("all.ply");
+  options.layer.clear();
+  EXPECT_FALSE(run(store, options).positions_from_store);
+  EXPECT_TRUE(report.notes.empty());
+  const ExportStats stats = run(store, options, 4 << 20);
+  EXPECT_TRUE(stats.positions_from_store);
+  EXPECT_EQ(stats.points, kMany);
+  EXPECT_NE(report.notes.find("cloud.pcd: a compressed PCD is read whole"), std::string::npos) << report.notes;
+  EXPECT_NE(report.notes.find("positions come from the store"), std::string::npos) << report.notes;
 }
 
 TEST_F(ExportPoints, SeveralFilesFollowOneAnotherAndKeepWhatAllOfThemHave) {
