@@ -2,7 +2,7 @@
 ///
 /// Local spacing of a point: the distance of its sixth neighbour over sqrt(6 / pi), what it would be on an evenly sampled surface. Neighbours are the
 /// points within some spacings; while they all lie on one line (scan lines) the radius is doubled, up to three times. Everything depends on the points
-/// around only, so that the borders of chunks do not show.
+/// around only, so that the borders of chunks do not show, but for how noisy the scan is, which is asked of a leaf as a whole.
 #pragma once
 #include <functional>
 #include <vector>
@@ -34,7 +34,8 @@ struct RadiusFit {
 };
 
 /// Normal of the plane through the neighbours and the point, for every distinct position of the chunk; it points away from their centroid. Fitted at
-/// three nested radii, of which the widest is taken that fits as well as the narrowest: edges stay sharp where flat ground is averaged.
+/// three nested radii, of which the widest is taken that fits as well as the narrowest, or as the noise of the leaf lets it: edges stay sharp where flat ground
+/// is averaged.
 void fit_normals_of(Neighbourhood& around, const FitOptions& options, std::vector<NormalFit>& fits);
 
 /// Better normals for the distinct positions that are wanted (1; others 0): planes through those neighbours only that are turned alike and lie on the plane, which
