@@ -9,7 +9,8 @@ points of the cloud there; whether the flash reaches the point is chosen after t
 are those of the rendering. What it still misses lies between the points: paint edges and relief finer than the sampling. "albedo only" even takes the
 shading from the photograph, so that it misses nothing but the albedo between the points. Several widths of the blend are tried, the best is printed.
 "blurred": the photograph of the new view itself, averaged over squares as wide as the cloud's spacing (the median one, at the median distance): what is left
-when relief, outlines and shadows are known as finely as the cloud samples them, and nothing else is wrong. Values are clipped to 0..1 everywhere.
+when relief, outlines and shadows are known as finely as the cloud samples them, and nothing else is wrong. "by place": with the spacing of the points at
+each pixel, as it looks from there: what stands near is sampled more coarsely. Values are clipped to 0..1 everywhere.
 """
 import sys
 import tomllib
@@ -50,10 +51,18 @@ def blurred(photograph, mask, width):
     return np.stack([gaussian_filter(picture[..., c], sigma)[mask] / weight for c in range(3)], -1)
 
 
-def spacing_of(positions):
+def spacing_of(positions, some):
     """As docs/store-format.md has it: distance of the sixth neighbour / sqrt(6 / pi)."""
-    some = positions[:: max(1, len(positions) // 20000)]
-    return cKDTree(positions).query(some, 7)[0][:, 6] * np.sqrt(np.pi / 6)
+    return cKDTree(positions).query(some, 7, workers=-1)[0][:, 6] * np.sqrt(np.pi / 6)
+
+
+def blurred_by_place(photograph, mask, widths):
+    """As blurred(), each pixel with the width that is its own, between two of a ladder."""
+    ladder = np.geomspace(max(0.3, widths.min()), max(0.4, widths.max()), 12)
+    at = np.clip(np.interp(np.log(np.maximum(widths, 0.3)), np.log(ladder), np.arange(12)), 0, 10.999)
+    steps = np.stack([blurred(photograph, mask, w) for w in ladder])
+    low, share, pixel = at.astype(int), (at % 1)[:, None], np.arange(len(at))
+    return (1 - share) * steps[low, pixel] + share * steps[low + 1, pixel]
 
 
 def measure(view, scene, rendered, direct, cloud):
@@ -84,9 +93,12 @@ def measure(view, scene, rendered, direct, cloud):
         limits.append(psnr(np.where(dark_is_closer[:, None], indirect, lit), photograph))
         shading = (photograph * albedo).sum(1) / (albedo**2).sum(1)
         albedo_only.append(psnr(shading[:, None] * albedo, photograph))
-    pixels = np.median(spacing_of(positions)) * fx / np.median(depth)
-    limit = psnr(blurred(np.clip(photograph, 0, 1), mask, pixels), photograph)
-    print(f"| {scene.name}/{name} | {psnr(ours, photograph):.1f} | {max(limits):.1f} | {max(albedo_only):.1f} | {pixels:.1f} | {limit:.1f} |")
+    along_axis = ((points @ rotation.T) + translation)[:, 2]
+    pixels = np.median(spacing_of(positions, positions[:: max(1, len(positions) // 20000)])) * fx / np.median(depth)
+    clipped = np.clip(photograph, 0, 1)
+    limit = psnr(blurred(clipped, mask, pixels), photograph)
+    by_place = psnr(blurred_by_place(clipped, mask, spacing_of(positions, positions[index[:, 0]]) * fx / along_axis), photograph)
+    print(f"| {scene.name}/{name} | {psnr(ours, photograph):.1f} | {max(limits):.1f} | {max(albedo_only):.1f} | {pixels:.1f} | {limit:.1f} | {by_place:.1f} |")
 
 
 def main():
@@ -94,7 +106,7 @@ def main():
         sys.exit(__doc__)
     scene, rendered, direct = map(Path, sys.argv[1:])
     cloud = read_cloud(scene)
-    print("| view | chiaro, PSNR dB | limit of the cloud | albedo only | spacing, pixels | blurred |\n| --- | ---: | ---: | ---: | ---: | ---: |")
+    print("| view | chiaro, PSNR dB | limit of the cloud | albedo only | spacing, pixels | blurred | by place |\n| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
     for view in tomllib.loads((scene / "novel/views.toml").read_text())["view"]:
         measure(view, scene, rendered, direct, cloud)
 
