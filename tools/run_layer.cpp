@@ -5,6 +5,7 @@
 
 #include "blend/blend.h"
 #include "optimize/pictures.h"
+#include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/store/layer.h"
 #include "tools/blend_record.h"
@@ -60,6 +61,8 @@ class LayerStages {
       const blend::BlendStats s = blend::blend(store, photographs, options, run_.folder.scratch(), run_.budget, run_.report);
       return Json::parse(blend_record_json(s, photographs));
     });
+    if (info["points_seen"] == 0)
+      throw Error("no point of the cloud is seen by any photograph from its front, near enough and inside masks: are cameras and cloud in the same frame, and do the cloud's normals point outwards (cloud.normals = \"estimate\" does without them)?");
     run_.record.count("points_seen", info["points_seen"]);
     run_.record.count("points_unseen", info["points"].get<std::uint64_t>() - info["points_seen"].get<std::uint64_t>());
     run_.record.count("points_disputed", info["points_disputed"]);
