@@ -144,7 +144,7 @@ TEST(WorkingSet, TakesWhatStandsBetweenTheFlashAndTheEdgeOfThePicture) {
   const Vec3d twig = view.pose.world_from_camera(flash + 0.08 * (edge - flash));
   const ScratchFolder folder;
   auto points = tests::square_points(300, 8.0, {0, 0, 0}, {0, 0, 1}, 1);
-  const auto more = tests::square_points(12, 0.04, twig, {0, 0, 1}, 2);
+  const auto more = tests::square_points(6, 0.008, twig, {0, 0, 1}, 2);
   points.insert(points.end(), more.begin(), more.end());
   const stream::Store store = tests::build_test_store(points, folder.path(), 256);
   MemoryBudget budget(kRoom);
