@@ -168,8 +168,8 @@ std::optional<CarriedField> find_field(const stream::PointSchema& schema, const 
 /// The source files one after the other, as one run of points. Only made while all of them are what they were at ingest.
 class SourceFiles {
  public:
-  SourceFiles(const stream::Manifest& manifest, bool with_albedo, bool with_inserted, Reporter& report) : manifest_(manifest) {
-    for (const std::string& file : manifest.source_files) {
+  SourceFiles(const stream::Manifest& manifest, std::vector<std::filesystem::path> files, bool with_albedo, bool with_inserted, Reporter& report) : manifest_(manifest), files_(std::move(files)) {
+    for (const std::filesystem::path& file : files_) {
       const auto reader = stream::open_points(file);
       schemas_.push_back(reader->schema());
       position_is_double_ |= reader->schema().position_is_double;
@@ -177,19 +177,19 @@ class SourceFiles {
     choose_carried(with_albedo, with_inserted, report);
   }
 
-  static bool unchanged(const stream::Manifest& manifest, std::string& why) {
-    if (manifest.source_files.empty() || manifest.source_files.size() != manifest.source_fingerprints.size() || manifest.source_files.size() != manifest.source_points.size()) {
+  static bool unchanged(const stream::Manifest& manifest, const std::vector<std::filesystem::path>& files, std::string& why) {
+    if (files.empty() || files.size() != manifest.source_fingerprints.size() || files.size() != manifest.source_points.size()) {
       why = "the store does not name its source files";
       return false;
     }
-    for (std::size_t i = 0; i < manifest.source_files.size(); ++i) {
+    for (std::size_t i = 0; i < files.size(); ++i) {
       std::error_code code;
-      if (!std::filesystem::is_regular_file(manifest.source_files[i], code)) {
-        why = concat(manifest.source_files[i], " is not there any more");
+      if (!std::filesystem::is_regular_file(files[i], code)) {
+        why = concat(files[i].string(), " is not there any more");
         return false;
       }
-      if (file_fingerprint(manifest.source_files[i]) != manifest.source_fingerprints[i]) {
-        why = concat(manifest.source_files[i], " has changed since it was ingested");
+      if (file_fingerprint(files[i]) != manifest.source_fingerprints[i]) {
+        why = concat(files[i].string(), " has changed since it was ingested");
         return false;
       }
     }
@@ -204,13 +204,13 @@ class SourceFiles {
     while (!reader_ || left_in_file_ == 0) {
       file_ = reader_ ? file_ + 1 : 0;
       if (file_ >= schemas_.size()) throw Error("source files: fewer points than the store counts");
-      reader_ = stream::open_points(manifest_.source_files[file_]);
+      reader_ = stream::open_points(files_[file_]);
       left_in_file_ = manifest_.source_points[file_];
       fields_.clear();
       for (const PointProperty& p : carried_) fields_.push_back(*find_field(schemas_[file_], p));
     }
     if (!reader_->read(block_, static_cast<std::size_t>(std::min<std::uint64_t>(max_points, left_in_file_))))
-      throw Error(concat(manifest_.source_files[file_], ": ends early, ", left_in_file_, " of ", manifest_.source_points[file_], " points are missing"));
+      throw Error(concat(files_[file_].string(), ": ends early, ", left_in_file_, " of ", manifest_.source_points[file_], " points are missing"));
     left_in_file_ -= block_.size();
     return block_;
   }
@@ -241,6 +241,7 @@ class SourceFiles {
   }
 
   const stream::Manifest& manifest_;
+  std::vector<std::filesystem::path> files_;
   std::vector<stream::PointSchema> schemas_;
   bool position_is_double_ = false;
   std::vector<PointProperty> carried_;
@@ -337,8 +338,9 @@ class Exporter {
     if (with_albedo()) inserted_ = open_inserted(store, options.layer);
     if (inserted_) stats_.points_inserted = inserted_->seen();
     std::string why;
-    if (SourceFiles::unchanged(manifest, why)) {
-      sources_.emplace(manifest, with_albedo(), inserted_.has_value(), report);
+    const std::vector<std::filesystem::path> files = options.sources.empty() ? std::vector<std::filesystem::path>(manifest.source_files.begin(), manifest.source_files.end()) : options.sources;
+    if (SourceFiles::unchanged(manifest, files, why)) {
+      sources_.emplace(manifest, files, with_albedo(), inserted_.has_value(), report);
     } else {
       stats_.positions_from_store = true;
       report.note(concat("export: ", why, ": positions come from the store, further properties of the input are left out"));

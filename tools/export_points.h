@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <string>
+#include <vector>
 
 #include "stream/base/budget.h"
 #include "stream/base/report.h"
@@ -13,6 +14,7 @@ namespace chiaro::tools {
 struct ExportOptions {
   std::filesystem::path file;      ///< .ply, .las or .pcd
   std::string layer = "albedo";    ///< empty: geometry and input colour alone
+  std::vector<std::filesystem::path> sources;   ///< where the source files are now, in the store's order; empty: where they were at ingest
   bool fill = false;               ///< unseen points take albedo and colour from their neighbours; they stay marked by photos = 0 and sigma NaN
 };
 

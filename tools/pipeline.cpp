@@ -77,7 +77,7 @@ optimize::SkyModel sky_model(AmbientModel m) {
 class Pipeline {
  public:
   Pipeline(const Project& project, const std::filesystem::path& out, MemoryBudget& budget, RunRecord& record, Reporter& report)
-      : run_{project, {out}, TaskLog(RunFolder{out}.tasks()), budget, record, report} {}
+      : run_{project, {out}, TaskLog(RunFolder{out}.tasks()), budget, record, report, ProgressLog(RunFolder{out}.progress())} {}
 
   void run() {
     check_flash();
@@ -188,6 +188,11 @@ class Pipeline {
   void leave_out(const PhotographInput& p, const std::string& reason) {
     run_.report.note(concat(p.file.filename().string(), ": left out: ", reason));
     run_.record.left_out("photograph", p.key, reason);
+    // What an earlier run made of it is no result any more.
+    const std::filesystem::path pictures = run_.folder.pictures(p.key);
+    std::error_code code;
+    for (const char* name : {"albedo.exr", "sigma.exr", "light.exr", "residual.exr"}) std::filesystem::remove(pictures / name, code);
+    std::filesystem::remove(pictures, code);
   }
 
   void require_photographs() const {
@@ -211,7 +216,20 @@ class Pipeline {
       }
     }
     shoot.photos = std::move(kept);
+    tell_development_notes();
     require_photographs();
+  }
+
+  /// What is said of many photographs alike is said once.
+  void tell_development_notes() {
+    constexpr std::size_t kNamed = 3;
+    for (const auto& [text, files] : development_notes_) {
+      std::string names;
+      for (std::size_t i = 0; i < std::min(files.size(), kNamed); ++i) names += (i > 0 ? ", " : "") + files[i];
+      if (files.size() > kNamed) names += concat(" and ", files.size() - kNamed, " more");
+      run_.note_both(concat(names, ": ", text));
+    }
+    development_notes_.clear();
   }
 
   void develop_one(const Acquisition& a, Photo& photo) {
@@ -235,7 +253,11 @@ class Pipeline {
                   {"notes", r.notes}};
     });
     run_.record.input(p.file, fingerprint);
-    for (const auto& n : info["notes"]) run_.record.note(n.get<std::string>());
+    for (const auto& note : info["notes"]) {
+      const std::string text = note.get<std::string>(), name = p.file.filename().string();
+      if (text.starts_with(name)) run_.record.note(text);   // of this one alone
+      else development_notes_[text].push_back(name);
+    }
     if (info["pixels_used"] == 0) throw Error("no usable pixel: everything is masked, saturated or not finite");
     photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
     photo.camera.lens = stream::scaled_to(photo.camera.lens, info["width"], info["height"], p.file.string());
@@ -512,6 +534,7 @@ class Pipeline {
 
   RunContext run_;
   std::string store_key_;
+  std::map<std::string, std::vector<std::string>> development_notes_;   ///< and the files of which they are said
   std::uint64_t pixels_on_cloud_ = 0, pixels_from_behind_ = 0;
   std::vector<Shoot> shoots_;
 };

@@ -100,11 +100,12 @@ class LayerStages {
       options.file = file;
       options.layer = run_.project.blend.layer;
       options.fill = e.fill;
+      options.sources = run_.project.cloud.files;   // the folder may have moved since the store was made
       make_folder(run_.folder.scratch());
       const ExportStats s = export_points(store, options, run_.folder.scratch(), run_.budget, run_.report);
       return Json{{"points", s.points}, {"points_unseen", s.points_unseen}, {"points_filled", s.points_filled}, {"points_inserted", s.points_inserted}, {"positions_from_store", s.positions_from_store}};
     });
-    run_.record.count("points_out", info["points"]);
+    if (&e == &run_.project.exports.front()) run_.record.count("points_out", info["points"]);   // of several exports each holds all of them
   }
 
  private:

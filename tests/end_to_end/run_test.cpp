@@ -251,6 +251,19 @@ TEST_F(Run, StaysWithinItsMemory) {
   EXPECT_LE(ran.peak_bytes, 256u << 20);
 }
 
+TEST_F(Run, CountsPointsOnceForSeveralExportsAndFindsAMovedCloud) {
+  scene({.photographs = 1});
+  ASSERT_EQ(run("out", {"--set", "solve.method=direct"}).code, 0);
+  const std::string before = file_bytes(at("out/albedo.ply"));
+  fs::rename(at("scene"), at("moved"));
+  edit("moved/project.toml", "file = \"albedo.ply\"\n", "file = \"again.ply\"\n[[export]]\nfile = \"more.las\"\n");
+  const ProcessResult ran = run("out", {"--set", "solve.method=direct"}, {}, "moved");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("positions come from the store")));
+  EXPECT_EQ(file_bytes(at("out/again.ply")), before);
+  EXPECT_EQ(json("out/run.json")["counts"]["points_out"], 6000);
+}
+
 TEST_F(Run, RecordsWhatItDid) {
   scene();
   ASSERT_EQ(run("out", {"--set", "run.seed=7"}).code, 0);

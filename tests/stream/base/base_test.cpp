@@ -112,7 +112,9 @@ TEST(Parallel, SurfacesExceptions) {
 TEST(FolderLock, HoldsAFolderForOneAtATime) {
   const ScratchFolder scratch;
   {
+    EXPECT_FALSE(FolderLock::is_held(scratch.path()));
     FolderLock first(scratch.path());
+    EXPECT_TRUE(FolderLock::is_held(scratch.path()));
     EXPECT_THROW(FolderLock(scratch.path()), Error);
     const FolderLock moved = std::move(first);
     EXPECT_THROW(FolderLock(scratch.path()), Error);
