@@ -35,10 +35,10 @@ void for_floor_rays(const Proxy& proxy, const Transport& transport, const Floor&
   }
 }
 
-/// Flash irradiance on the floor per unit intensity.
+/// Flash irradiance on the floor per unit intensity, 1/m^2.
 class FlashMap {
  public:
-  FlashMap(const Proxy& proxy, const surfels::Tracer& tracer, const Floor& floor, const Vec3d& flash_in_world) : floor_(floor), lit_(kMapCells * kMapCells) {
+  FlashMap(const Proxy& proxy, const surfels::Tracer& tracer, const Floor& floor, const Vec3d& flash_in_world) : floor_(floor), m2_(proxy.metres_per_unit * proxy.metres_per_unit), lit_(kMapCells * kMapCells) {
     flash_ = (flash_in_world - proxy.origin_in_world).cast<float>();
     Vec3f low = Vec3f::Constant(1e30f), high = Vec3f::Constant(-1e30f);
     for (const Vec3f& p : proxy.position) {
@@ -65,7 +65,7 @@ class FlashMap {
   float irradiance(const Vec3f& y) const {
     const Vec3f way = flash_ - y;
     const float r2 = way.squaredNorm(), cosine = floor_.normal.dot(way) / std::sqrt(r2);
-    return cosine > 0 ? visible(y) * cosine / r2 : 0.0f;
+    return cosine > 0 ? visible(y) * cosine / (r2 * m2_) : 0.0f;
   }
 
  private:
@@ -80,6 +80,7 @@ class FlashMap {
   }
 
   Floor floor_;
+  float m2_;   ///< of a square of the project's unit
   Vec3f flash_, centre_, u_, v_;
   float half_ = 1;
   std::vector<float> lit_;

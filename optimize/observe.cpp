@@ -63,9 +63,9 @@ void for_each_projected(const Proxy& proxy, const ObserveInput& input, const std
   }
 }
 
-/// The pixel and the surfel lie on the same surface: same plane within what footprint and sampling explain, like normals up to sign.
-bool same_surface(const Vec3f& pixel_normal, const Vec3f& offset, float pixel_size, float radius, const Vec3f& surfel_normal) {
-  if (std::fabs(pixel_normal.dot(surfel_normal)) < 0.7f) return false;
+/// The pixel and the surfel lie on the same surface: same plane within what footprint and sampling explain, like normals, `cosine` between them.
+bool same_surface(float cosine, const Vec3f& pixel_normal, const Vec3f& offset, float pixel_size, float radius) {
+  if (cosine < 0.7f) return false;
   return std::fabs(pixel_normal.dot(offset)) < 1.5f * pixel_size + 0.5f * radius;
 }
 
@@ -83,7 +83,7 @@ std::vector<float> visibility_votes(const Proxy& proxy, const ObserveInput& inpu
     const std::size_t i = band.at(x, y);
     if (!(band.depth[i] > 0) || band.edge[i] < 1 + 0.5f * p.blur_px) return;
     const Vec3f offset = proxy.position[p.surfel] - pixel_point(input.camera, proxy.origin_in_world, x, y, band.depth[i]);
-    if (!same_surface(band.normal(i), offset, band.footprint[i], proxy.radius[p.surfel], proxy.normal[p.surfel])) return;
+    if (!same_surface(std::fabs(band.normal(i).dot(proxy.normal[p.surfel])), band.normal(i), offset, band.footprint[i], proxy.radius[p.surfel])) return;   // whichever side
     votes[p.surfel] = band.normal(i).dot(proxy.normal[p.surfel]) > 0 ? band.cosv[i] : -band.cosv[i];
   });
   return votes;
@@ -117,7 +117,8 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
         const std::size_t i = band.at(x, y);
         if (w <= 0 || !band.usable(i) || band.shadow[i] > kMostShadowDoubt) continue;
         const Vec3f offset = proxy.position[s] - pixel_point(input.camera, proxy.origin_in_world, x, y, band.depth[i]);
-        if (!same_surface(band.normal(i), offset, band.footprint[i], proxy.radius[s], proxy.normal[s])) continue;
+        // The back of a thin wall has another irradiance than its front, which is what is gathered.
+        if (!same_surface(band.normal(i).dot(proxy.normal[s]), band.normal(i), offset, band.footprint[i], proxy.radius[s])) continue;
         const double wd = static_cast<double>(w), e = static_cast<double>(band.flash[i]), spread = static_cast<double>(band.spread[i]);
         const Vec3d c = band.colour(i).cast<double>();
         f.weight += wd;
@@ -154,6 +155,7 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
 void cast_flash(const Proxy& proxy, const surfels::Tracer& tracer, const Vec3d& flash_in_world, Observation& o) {
   const Vec3f flash = (flash_in_world - proxy.origin_in_world).cast<float>();
   const Vec3f shift = (proxy.origin_in_world - tracer.origin_in_world()).cast<float>();
+  const float m2 = proxy.metres_per_unit * proxy.metres_per_unit;
   parallel_blocks(proxy.size(), 1024, [&](std::size_t b, std::size_t e) {
     for (std::size_t i = b; i < e; ++i) {
       const Vec3f to_flash = flash - proxy.position[i];
@@ -162,7 +164,7 @@ void cast_flash(const Proxy& proxy, const surfels::Tracer& tracer, const Vec3d& 
       if (o.seen[i]) continue;
       o.flash[i] = 0;
       if (!(cosine > 0)) continue;
-      if (!tracer.occluded(surfels::escape_ray(proxy.position[i] + shift, proxy.normal[i], proxy.radius[i], to_flash / r, r))) o.flash[i] = cosine / r2;
+      if (!tracer.occluded(surfels::escape_ray(proxy.position[i] + shift, proxy.normal[i], proxy.radius[i], to_flash / r, r))) o.flash[i] = cosine / (r2 * m2);
     }
   });
 }

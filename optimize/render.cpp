@@ -27,13 +27,14 @@ struct RenderSet {
   surfels::Tracer tracer;
   std::unordered_map<std::uint32_t, std::vector<Vec3f>> albedo;
   BudgetLease lease;
+  float metres_per_unit = 1;
   std::unique_ptr<RenderSet> inserted;   ///< finer points, for their colour alone
 };
 
 RenderSet load_set(const stream::Store& store, const stream::Layer& layer, const RenderView& view, MemoryBudget& budget, Reporter& report) {
   surfels::View seen{view.lens, view.pose, {0, 0, view.lens.width_px, view.lens.height_px}, {view.pose.world_from_camera(view.flash_in_camera)}};
   const surfels::WorkingSet set = surfels::select_visible(store, seen, {}, budget, report);
-  RenderSet r{surfels::Tracer(view.pose.centre_in_world(), budget), {}, BudgetLease(budget, set.surfels * sizeof(Vec3f), "albedo of the view"), nullptr};
+  RenderSet r{surfels::Tracer(view.pose.centre_in_world(), budget), {}, BudgetLease(budget, set.surfels * sizeof(Vec3f), "albedo of the view"), static_cast<float>(stream::metres_per_unit(store.manifest().unit)), nullptr};
   for (const std::uint32_t c : set.chunks) {
     r.tracer.add(store.read_chunk(c));
     r.albedo.emplace(c, stream::read_albedo(layer, store, c).albedo);
@@ -139,7 +140,7 @@ struct Shader {
     const Vec3f to_flash = flash - p;
     const float r2 = to_flash.squaredNorm(), r = std::sqrt(r2), cosine = hit.normal.dot(to_flash) / r;
     if (!(cosine > 0) || set.tracer.occluded(surfels::escape_ray(p, hit.normal, hit.radius, to_flash / r, r))) return 0;
-    return cosine / r2;
+    return cosine / (r2 * set.metres_per_unit * set.metres_per_unit);
   }
 
   CoatFactors coat(const Vec3f& p, const Vec3f& n) const { return lights.gloss.on ? coat_factors(lights.gloss, gloss_angles(p, n, {eye, flash})) : CoatFactors{}; }

@@ -32,7 +32,7 @@ const std::vector<std::string>& float_planes(bool flash) {
 }
 
 struct Pixel {
-  float depth = 0, radius = 0, footprint = 0, cosv = 0, coverage = 0, flash = 0, spread = 0, lit = 0, penumbra = 0;
+  float depth = 0, radius = 0, footprint = 0, cosv = 0, coverage = 0, flash = 0, spread = 0, lit = 0, penumbra = 0, back = 0;
   Vec3f normal = Vec3f::Zero();
   SurfelId surfel;
 };
@@ -46,13 +46,14 @@ struct Shot {
   Eigen::Matrix3f world_from_camera;
   float focal_px;
   int subpixels;
+  float metres_per_unit;
 };
 
 struct RayCounts {
   std::uint64_t primary = 0, shadow = 0;
 };
 
-/// Irradiance at a hit per unit of flash intensity: visibility * cos / r^2.
+/// Irradiance at a hit per unit of flash intensity: visibility * cos / r^2, 1/m^2.
 float flash_irradiance(const Shot& shot, const Vec3f& p, const Hit& hit, RayCounts& counts, bool& lit) {
   const Vec3f to_flash = *shot.flash - p;
   const float r2 = to_flash.squaredNorm(), r = std::sqrt(r2);
@@ -62,7 +63,7 @@ float flash_irradiance(const Shot& shot, const Vec3f& p, const Hit& hit, RayCoun
   ++counts.shadow;
   if (shot.tracer.occluded(ray)) return 0;
   lit = true;
-  return cosine / r2;
+  return cosine / (r2 * shot.metres_per_unit * shot.metres_per_unit);
 }
 
 /// How far the shadow's edge may lie from where it is found, in pixels: what casts it is known to a part of its sampling only, and the flash throws that
@@ -105,6 +106,7 @@ class PixelSum {
       nearest_ = off;
       pixel_.surfel = hit.surfel;
       pixel_.radius = hit.radius;
+      pixel_.back = hit.back;
     }
     if (!shot_.flash || !wanted_) return;
     bool sees = false;
@@ -244,7 +246,7 @@ class Caster {
   void trace(const Tracer& tracer, int y0, int y1) {
     const Shot shot{camera_, tracer, tracer.scene_from_world(camera_.pose.centre_in_world()),
                     options_.flash_in_camera ? std::optional<Vec3f>(tracer.scene_from_world(camera_.pose.world_from_camera(*options_.flash_in_camera))) : std::nullopt,
-                    camera_.pose.rotation_camera_from_world.transpose().cast<float>(), static_cast<float>(0.5 * (camera_.lens.fx + camera_.lens.fy)), options_.subpixels};
+                    camera_.pose.rotation_camera_from_world.transpose().cast<float>(), static_cast<float>(0.5 * (camera_.lens.fx + camera_.lens.fy)), options_.subpixels, static_cast<float>(stream::metres_per_unit(store_.manifest().unit))};
     const int width = camera_.lens.width_px;
     for (int band = y0; band < y1; band += kBandRows) {
       const int rows = std::min(kBandRows, y1 - band);
@@ -263,7 +265,10 @@ class Caster {
         stats.rays += c.primary;
         stats.shadow_rays += c.shadow;
       }
-      for (const Pixel& p : pixels) stats.pixels_hit += p.coverage > 0;
+      for (const Pixel& p : pixels) {
+        stats.pixels_hit += p.coverage > 0;
+        stats.pixels_from_behind += p.coverage > 0 && p.back > 0.5f;
+      }
       store_band(out_, pixels, band, shot.flash.has_value());
       report_.progress(static_cast<std::uint64_t>(band + rows));
       report_.check();

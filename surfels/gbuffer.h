@@ -26,6 +26,7 @@ struct GBufferOptions {
 
 struct GBufferStats {
   std::uint64_t pixels = 0, pixels_hit = 0, rays = 0, shadow_rays = 0;
+  std::uint64_t pixels_from_behind = 0;     ///< of pixels_hit: at their middle they show surfels whose normal, of known sign, points away from the camera
   std::uint64_t surfels = 0, chunks = 0, chunks_hidden = 0;
   int tiles = 0;                            ///< parts the image was split into, by its surfels or the budget
 };
@@ -40,7 +41,7 @@ struct GBufferStats {
 ///   coverage f32   share of the rays that hit, 0..1
 ///   edge f32       distance to the nearest depth edge, hole or image border, pixels (0 at the edge, at most 64)
 /// and with a flash
-///   flash f32      mean over the rays of visibility * cos / r^2, 1/unit^2; rays that miss do not count
+///   flash f32      mean over the rays of visibility * cos / r^2, 1/m^2; rays that miss do not count
 ///   spread f32     standard deviation of that over its mean
 ///   lit f32        share of the rays that see the flash
 ///   penumbra f32   where a cast shadow's edge crosses the pixel: how far the edge may lie off, pixels; else 0

@@ -97,7 +97,7 @@ void Args::choice(const std::string& flags, std::string& value, const std::vecto
 }
 
 void Args::bytes(const std::string& flags, std::uint64_t& value, const std::string& help) {
-  std::string& text = *impl_->texts.emplace_back(std::make_unique<std::string>(format_bytes(value)));
+  std::string& text = *impl_->texts.emplace_back(std::make_unique<std::string>(value > 0 ? format_bytes(value) : std::string()));
   const std::string before = text;
   impl_->app.add_option(flags, text, help)->type_name("SIZE")->default_str(text);
   impl_->after.push_back([&value, &text, before, flags] {
@@ -118,7 +118,7 @@ void Args::common(Console& console) {
 }
 
 void Args::resources(std::uint64_t& memory_bytes, int& threads) {
-  bytes("--memory", memory_bytes, "memory that the process may use");
+  bytes("--memory", memory_bytes, memory_bytes > 0 ? "memory that the process may use" : "memory that the process may use; default: run.memory of the project file");
   option("--threads", threads, "threads; 0 = all cores", "N", 0, 4096);
 }
 

@@ -3,6 +3,7 @@
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/base/folder_lock.h"
 #include "stream/base/parallel.h"
 #include "tools/args.h"
 #include "tools/commands.h"
@@ -25,6 +26,14 @@ void print_summary(Console& console, const RunRecord& record, const RunFolder& f
   console.clear_line();
   for (const ExportInput& e : project.exports) console.out() << (folder.root / e.file).string() << "\n";
   console.out() << (folder.report() / "index.html").string() << "\n" << folder.record().string() << "\n";
+}
+
+/// What was done until a run stopped stays on record; a second failure (a full disk) must not hide the first.
+void write_record(const RunRecord& record, const RunFolder& folder, int code) {
+  try {
+    record.write(folder.record(), code);
+  } catch (const std::exception&) {
+  }
 }
 
 }  // namespace
@@ -53,14 +62,18 @@ int run_run(std::span<const std::string> words, Console& console) {
   record.seed(project.seed);
   record.threads(ThreadLimit::current());
   record.memory_limit(project.memory_bytes);
+  make_folder(folder.work());
+  const FolderLock lock(folder.work());
   try {
     run_pipeline(project, folder.root, budget, record, console.report());
+  } catch (const Cancelled&) {
+    write_record(record, folder, 130);
+    throw;
+  } catch (const UsageError&) {
+    write_record(record, folder, 2);
+    throw;
   } catch (...) {
-    // What was done and why it stopped stays on record; a second failure (a full disk) must not hide the first.
-    try {
-      record.write(folder.record(), 1);
-    } catch (const std::exception&) {
-    }
+    write_record(record, folder, 1);
     throw;
   }
   const int code = record.was_partial() ? 3 : 0;

@@ -81,13 +81,15 @@ class Exporter {
 
   /// What cannot be read again does not stand in the way of the result.
   void open_sources() {
+    const std::vector<std::string>& then = store_.manifest().source_files;
+    const std::vector<std::filesystem::path> files = options_.sources.empty() ? std::vector<std::filesystem::path>(then.begin(), then.end()) : options_.sources;
     std::string why;
-    if (SourceFiles::unchanged(store_.manifest(), why)) {
+    if (SourceFiles::unchanged(store_.manifest(), files, why)) {
       std::vector<std::string> ours{"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"};
       if (with_albedo()) ours.insert(ours.end(), {"albedo_r", "albedo_g", "albedo_b", "sigma", "photos"});
       if (inserted_) ours.push_back("inserted");
       try {
-        sources_.emplace(store_.manifest(), ours, budget_.free_bytes() / 2, report_);
+        sources_.emplace(store_.manifest(), files, ours, budget_.free_bytes() / 2, report_);
         return;
       } catch (const Error& e) {
         why = e.what();

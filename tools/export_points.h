@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <functional>
 #include <string>
+#include <vector>
 
 #include "stream/base/budget.h"
 #include "stream/base/file.h"
@@ -15,6 +16,7 @@ namespace chiaro::tools {
 struct ExportOptions {
   std::filesystem::path file;      ///< .ply, .las or .pcd
   std::string layer = "albedo";    ///< empty: geometry and input colour alone
+  std::vector<std::filesystem::path> sources;   ///< where the source files are now, in the store's order; empty: where they were at ingest
   bool fill = false;               ///< unseen points take albedo and colour from their neighbours; they stay marked by photos = 0 and sigma NaN
   std::function<std::uint64_t(const std::filesystem::path&)> free_bytes = free_disk_bytes;   ///< of the disk that holds a folder
 };

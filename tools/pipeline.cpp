@@ -22,6 +22,7 @@
 #include "stream/store/octree_build.h"
 #include "surfels/gbuffer.h"
 #include "tools/ingest.h"
+#include "tools/light_record_json.h"
 #include "tools/light_spread_json.h"
 #include "tools/run_context_json.h"
 #include "tools/run_layer.h"
@@ -76,7 +77,7 @@ optimize::SkyModel sky_model(AmbientModel m) {
 class Pipeline {
  public:
   Pipeline(const Project& project, const std::filesystem::path& out, MemoryBudget& budget, RunRecord& record, Reporter& report)
-      : run_{project, {out}, TaskLog(RunFolder{out}.tasks()), budget, record, report} {}
+      : run_{project, {out}, TaskLog(RunFolder{out}.tasks()), budget, record, report, ProgressLog(RunFolder{out}.progress())} {}
 
   void run() {
     check_flash();
@@ -91,6 +92,7 @@ class Pipeline {
       raycast(store, shoot);
       if (run_.project.method == SolveMethod::kNone) take_colour(shoot);
     }
+    note_backs();
     if (run_.project.method != SolveMethod::kNone) {
       for (std::size_t i = 0; i < shoots_.size(); ++i)
         if (shoots_[i].lead == i) solve_lights(store, i);
@@ -186,6 +188,11 @@ class Pipeline {
   void leave_out(const PhotographInput& p, const std::string& reason) {
     run_.report.note(concat(p.file.filename().string(), ": left out: ", reason));
     run_.record.left_out("photograph", p.key, reason);
+    // What an earlier run made of it is no result any more.
+    const std::filesystem::path pictures = run_.folder.pictures(p.key);
+    std::error_code code;
+    for (const char* name : {"albedo.exr", "sigma.exr", "light.exr", "residual.exr"}) std::filesystem::remove(pictures / name, code);
+    std::filesystem::remove(pictures, code);
   }
 
   void require_photographs() const {
@@ -209,7 +216,20 @@ class Pipeline {
       }
     }
     shoot.photos = std::move(kept);
+    tell_development_notes();
     require_photographs();
+  }
+
+  /// What is said of many photographs alike is said once.
+  void tell_development_notes() {
+    constexpr std::size_t kNamed = 3;
+    for (const auto& [text, files] : development_notes_) {
+      std::string names;
+      for (std::size_t i = 0; i < std::min(files.size(), kNamed); ++i) names += (i > 0 ? ", " : "") + files[i];
+      if (files.size() > kNamed) names += concat(" and ", files.size() - kNamed, " more");
+      run_.note_both(concat(names, ": ", text));
+    }
+    development_notes_.clear();
   }
 
   void develop_one(const Acquisition& a, Photo& photo) {
@@ -233,7 +253,11 @@ class Pipeline {
                   {"notes", r.notes}};
     });
     run_.record.input(p.file, fingerprint);
-    for (const auto& n : info["notes"]) run_.record.note(n.get<std::string>());
+    for (const auto& note : info["notes"]) {
+      const std::string text = note.get<std::string>(), name = p.file.filename().string();
+      if (text.starts_with(name)) run_.record.note(text);   // of this one alone
+      else development_notes_[text].push_back(name);
+    }
     if (info["pixels_used"] == 0) throw Error("no usable pixel: everything is masked, saturated or not finite");
     photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
     photo.camera.lens = stream::scaled_to(photo.camera.lens, info["width"], info["height"], p.file.string());
@@ -256,19 +280,31 @@ class Pipeline {
       photo.gbuffer_key = h.hex();
       const Json info = run_.task("raycast/" + photo.input->key, photo.gbuffer_key, {run_.folder.gbuffer(photo.input->key)}, [&] {
         const surfels::GBufferStats s = surfels::write_gbuffer(store, photo.camera, options, run_.folder.gbuffer(photo.input->key), run_.budget, run_.report);
-        return Json{{"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"rays", s.rays}, {"shadow_rays", s.shadow_rays}, {"surfels", s.surfels},
+        return Json{{"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_from_behind", s.pixels_from_behind}, {"rays", s.rays}, {"shadow_rays", s.shadow_rays}, {"surfels", s.surfels},
                     {"chunks", s.chunks}, {"chunks_hidden", s.chunks_hidden}, {"tiles", s.tiles}};
       });
       if (info["pixels_hit"] == 0) {
         leave_out(*photo.input, "it sees nothing of the cloud");
         continue;
       }
+      pixels_on_cloud_ += info["pixels_hit"].get<std::uint64_t>();
+      pixels_from_behind_ += info["pixels_from_behind"].get<std::uint64_t>();
       run_.record.count("rays_primary", info["rays"]);
       run_.record.count("rays_shadow", info["shadow_rays"]);
       kept.push_back(std::move(photo));
     }
     shoot.photos = std::move(kept);
     require_photographs();
+  }
+
+  /// Points are seen from their front alone. Where a scan's normals point inwards all of it stays unseen.
+  void note_backs() {
+    constexpr std::uint64_t kNoted = 20;   // a thin wall may well be seen from behind here and there
+    run_.record.count("pixels_on_cloud", pixels_on_cloud_);
+    run_.record.count("pixels_from_behind", pixels_from_behind_);
+    if (pixels_from_behind_ * kNoted < pixels_on_cloud_) return;
+    run_.note_both(concat(100 * pixels_from_behind_ / pixels_on_cloud_, " % of what the photographs show of the cloud, they see from behind by the cloud's normals, and such points stay unseen: do the normals of some scans "
+                          "point inwards? cloud.normals = \"estimate\" does without them"));
   }
 
   /// All photographs that share the lights of a lead, its own first.
@@ -340,7 +376,7 @@ class Pipeline {
       if (own.ambient != 1) run_.note_both(concat(input.names[k], ": ambient light ", format_number(own.ambient, 3), " times that of the others, corrected"));
     }
     if (shoot.lights.proxy_seen == 0 && input.method != Method::kDirect && input.method != Method::kAdam)
-      throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph; are cameras and cloud in the same frame?"));
+      throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph; are cameras and cloud in the same frame, and do the cloud's normals point outwards (cloud.normals = \"estimate\" does without them)?"));
   }
 
   std::vector<std::string> keys_in_lights(std::size_t lead) const {
@@ -351,83 +387,6 @@ class Pipeline {
     std::vector<std::string> ordered;
     for (const auto& [index, key] : keys) ordered.push_back(key);
     return ordered;
-  }
-
-  static Json evidence_json(const std::vector<optimize::SkyEvidence>& evidence) {
-    Json all = Json::array();
-    for (const optimize::SkyEvidence& e : evidence) all.push_back({{"model", e.model}, {"parameters", e.parameters}, {"criterion", e.criterion}});
-    return all;
-  }
-
-  static Json error_json(const optimize::ErrorModel& e) {
-    return {{"normal_rad", e.normal_rad}, {"registration_px", e.registration_px}, {"other_light", e.other_light}, {"spread", e.spread}, {"rest", e.rest}, {"estimated", e.estimated}};
-  }
-
-  /// null: Lambert's surfaces.
-  static Json gloss_json(const optimize::Gloss& g) { return g.on ? Json{{"reflectance", g.reflectance}, {"roughness", g.roughness}} : Json(); }
-
-  static Json light_json(const optimize::AcquisitionResult& r) {
-    Json lights = Json::array();
-    for (const optimize::LightSolution& s : r.lights) {
-      Json covariance = Json::array();
-      for (Eigen::Index i = 0; i < s.covariance.rows(); ++i) {
-        Json row = Json::array();
-        for (Eigen::Index j = 0; j < s.covariance.cols(); ++j) row.push_back(s.covariance(i, j));
-        covariance.push_back(row);
-      }
-      lights.push_back({{"flash_intensity", s.lights.flash_intensity}, {"sky", s.lights.sky}, {"sky_colour", s.lights.sky_colour}, {"bounce", s.lights.bounce},
-                        {"gloss", gloss_json(s.lights.gloss)}, {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"floor", s.lights.floor}, {"floor_albedo", s.lights.floor_albedo}, {"covariance", covariance}, {"ambient_open", s.ambient_open}, {"scatter", s.scatter},
-                        {"groups", s.groups}, {"samples", s.samples}, {"iterations", s.iterations}, {"converged", s.converged}, {"scale_known", s.scale_known}});
-    }
-    Json errors = Json::array();
-    for (const optimize::ErrorModel& e : r.errors) errors.push_back(error_json(e));
-    Json own = Json::array();
-    for (const optimize::OwnLight& o : r.own_lights) own.push_back({o.ambient, o.exposure, o.ambient_ln_sd});
-    return {{"gloss_evidence", r.gloss_evidence ? Json(*r.gloss_evidence) : Json()}, {"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"own_lights", own}, {"strangers", r.strangers}, {"flash_shift", {r.flash_shift[0], r.flash_shift[1], r.flash_shift[2]}}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
-            {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
-  }
-
-  static optimize::AcquisitionResult lights_from_json(const Json& j) {
-    optimize::AcquisitionResult r;
-    for (const Json& l : j["lights"]) {
-      optimize::LightSolution s;
-      s.lights.flash_intensity = l["flash_intensity"];
-      s.lights.sky = l["sky"];
-      s.lights.sky_colour = l["sky_colour"];
-      if (const Json& g = l["gloss"]; !g.is_null()) s.lights.gloss = {true, g["reflectance"], g["roughness"]};
-      s.sky_terms = l["sky_terms"];
-      s.sky_colour = l["sky_coloured"];
-      s.lights.floor = l["floor"];
-      s.lights.floor_albedo = l["floor_albedo"];
-      s.lights.bounce = l["bounce"];
-      const auto n = static_cast<Eigen::Index>(l["covariance"].size());
-      s.covariance.resize(n, n);
-      for (Eigen::Index i = 0; i < n; ++i)
-        for (Eigen::Index k = 0; k < n; ++k) s.covariance(i, k) = l["covariance"][static_cast<std::size_t>(i)][static_cast<std::size_t>(k)];
-      s.scatter = l["scatter"];
-      s.groups = l["groups"];
-      s.samples = l["samples"];
-      s.iterations = l["iterations"];
-      s.converged = l["converged"];
-      s.scale_known = l["scale_known"];
-      s.ambient_open = l["ambient_open"];
-      r.lights.push_back(s);
-    }
-    if (const Json& e = j["gloss_evidence"]; !e.is_null()) r.gloss_evidence = e.get<double>();
-    for (const Json& e : j["sky_evidence"]) r.sky_evidence.push_back({e["model"].get<std::string>(), e["parameters"].get<int>(), e["criterion"].get<double>()});
-    for (const Json& e : j["errors"]) r.errors.push_back({e["normal_rad"], e["registration_px"], e["other_light"], e["spread"], e["rest"], e["estimated"]});
-    r.light_of_photograph = j["light_of_photograph"].get<std::vector<std::size_t>>();
-    for (const Json& o : j["own_lights"]) r.own_lights.push_back({o[0], o[1], o[2]});
-    r.strangers = j["strangers"].get<std::vector<bool>>();
-    for (int i = 0; i < 3; ++i) r.flash_shift[i] = j["flash_shift"][static_cast<std::size_t>(i)];
-    r.proxy_surfels = j["proxy_surfels"];
-    r.proxy_seen = j["proxy_seen"];
-    r.back_share = j["back_share"];
-    r.outer_iterations = j["outer_iterations"];
-    r.last_change = j["last_change"];
-    r.sky_model = j["sky_model"];
-    r.notes = j["notes"].get<std::vector<std::string>>();
-    return r;
   }
 
   void solve_albedo(const stream::Store& store, Shoot& shoot) {
@@ -561,6 +520,7 @@ class Pipeline {
     const std::string dark = without_flash > 0 ? concat(" and ", without_flash, " without flash") : std::string();
     switch (run_.project.method) {
       case SolveMethod::kJoint:
+        if (shoots_[shoot.lead].lights.lights.size() > 1) return "each photograph by itself, as they show too few places in common: log ratios of pairs of surfels of like chroma";
         return n + without_flash > 1 ? concat("jointly over ", n, " photographs", dark, ": log ratios of surfels seen at least twice") : std::string("one photograph: log ratios of pairs of surfels of like chroma");
       case SolveMethod::kSingle:
         if (without_flash > 0) return concat("each photograph by itself", dark, ": log ratios of surfels seen at least twice");
@@ -574,6 +534,8 @@ class Pipeline {
 
   RunContext run_;
   std::string store_key_;
+  std::map<std::string, std::vector<std::string>> development_notes_;   ///< and the files of which they are said
+  std::uint64_t pixels_on_cloud_ = 0, pixels_from_behind_ = 0;
   std::vector<Shoot> shoots_;
 };
 

@@ -83,7 +83,7 @@ void read_project(const toml::node* node, Project& project) {
     if (std::find(units.begin(), units.end(), project.unit) == units.end())
       fail(*unit, concat("project.unit: unknown unit \"", project.unit, "\"; known: m, cm, mm"));
   }
-  project.metres_per_unit = project.unit == "mm" ? 1e-3 : project.unit == "cm" ? 1e-2 : 1.0;
+  project.metres_per_unit = stream::metres_per_unit(project.unit);
 }
 
 void read_cloud(const toml::node& node, const fs::path& folder, CloudInput& cloud) {

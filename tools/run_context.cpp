@@ -6,7 +6,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 /// Part of every key: raise it when a stage's result changes for the same inputs.
-constexpr std::uint64_t kPipelineVersion = 9;
+constexpr std::uint64_t kPipelineVersion = 10;
 }  // namespace
 
 Hasher keyed(std::string_view stage) {
@@ -22,8 +22,10 @@ void RunContext::note_both(const std::string& text) {
 
 Json RunContext::task(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs, const std::function<Json()>& body) {
   report.check();
+  progress.begun(name);
   const TaskOutcome outcome = tasks.run(name, key, outputs, [&] { return body().dump(); });
   if (!outcome.reused) return_freed_memory();
+  progress.done(name);
   record.stage(name, outcome.reused ? 0.0 : outcome.seconds, outcome.reused);
   return Json::parse(outcome.info_json);
 }

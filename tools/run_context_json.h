@@ -11,6 +11,7 @@
 #include "stream/base/hash.h"
 #include "stream/base/report.h"
 #include "stream/photo/camera.h"
+#include "tools/progress_log.h"
 #include "tools/project.h"
 #include "tools/run_folder.h"
 #include "tools/run_record.h"
@@ -48,6 +49,7 @@ struct RunContext {
   MemoryBudget& budget;
   RunRecord& record;
   Reporter& report;
+  ProgressLog progress;
 
   /// On the console and in the record.
   void note_both(const std::string& text);

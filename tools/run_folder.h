@@ -19,6 +19,8 @@ struct RunFolder {
 
   std::filesystem::path work() const { return root / "work"; }
   std::filesystem::path tasks() const { return work() / "tasks"; }
+  /// See progress_log.h.
+  std::filesystem::path progress() const { return work() / "progress"; }
   /// Effective project as JSON, written first: what report, render and status read.
   std::filesystem::path project() const { return work() / "project.json"; }
   /// Of the photographs that were used; see camera_record.h.

@@ -5,6 +5,7 @@
 
 #include "blend/blend.h"
 #include "optimize/pictures.h"
+#include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/store/layer.h"
 #include "tools/blend_record.h"
@@ -60,6 +61,8 @@ class LayerStages {
       const blend::BlendStats s = blend::blend(store, photographs, options, run_.folder.scratch(), run_.budget, run_.report);
       return Json::parse(blend_record_json(s, photographs));
     });
+    if (info["points_seen"] == 0)
+      throw Error("no point of the cloud is seen by any photograph from its front, near enough and inside masks: are cameras and cloud in the same frame, and do the cloud's normals point outwards (cloud.normals = \"estimate\" does without them)?");
     run_.record.count("points_seen", info["points_seen"]);
     run_.record.count("points_unseen", info["points"].get<std::uint64_t>() - info["points_seen"].get<std::uint64_t>());
     run_.record.count("points_disputed", info["points_disputed"]);
@@ -97,11 +100,12 @@ class LayerStages {
       options.file = file;
       options.layer = run_.project.blend.layer;
       options.fill = e.fill;
+      options.sources = run_.project.cloud.files;   // the folder may have moved since the store was made
       make_folder(run_.folder.scratch());
       const ExportStats s = export_points(store, options, run_.folder.scratch(), run_.budget, run_.report);
       return Json{{"points", s.points}, {"points_unseen", s.points_unseen}, {"points_filled", s.points_filled}, {"points_inserted", s.points_inserted}, {"positions_from_store", s.positions_from_store}};
     });
-    run_.record.count("points_out", info["points"]);
+    if (&e == &run_.project.exports.front()) run_.record.count("points_out", info["points"]);   // of several exports each holds all of them
   }
 
  private:

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
-#include <filesystem>
+#include <utility>
 
 #include "stream/base/error.h"
 #include "stream/base/hash.h"
@@ -11,9 +11,9 @@ namespace chiaro::tools {
 
 using stream::PointProperty;
 
-SourceFiles::SourceFiles(const stream::Manifest& manifest, const std::vector<std::string>& replaced, std::uint64_t memory_bytes, Reporter& report)
-    : manifest_(manifest), memory_bytes_(memory_bytes) {
-  for (const std::string& file : manifest.source_files) {
+SourceFiles::SourceFiles(const stream::Manifest& manifest, std::vector<std::filesystem::path> files, const std::vector<std::string>& replaced, std::uint64_t memory_bytes, Reporter& report)
+    : manifest_(manifest), files_(std::move(files)), memory_bytes_(memory_bytes) {
+  for (const std::filesystem::path& file : files_) {
     const auto reader = stream::open_points(file, memory_bytes);
     schemas_.push_back(reader->schema());
     position_is_double_ |= reader->schema().position_is_double;
@@ -21,19 +21,19 @@ SourceFiles::SourceFiles(const stream::Manifest& manifest, const std::vector<std
   choose_carried(replaced, report);
 }
 
-bool SourceFiles::unchanged(const stream::Manifest& manifest, std::string& why) {
-  if (manifest.source_files.empty() || manifest.source_files.size() != manifest.source_fingerprints.size() || manifest.source_files.size() != manifest.source_points.size()) {
+bool SourceFiles::unchanged(const stream::Manifest& manifest, const std::vector<std::filesystem::path>& files, std::string& why) {
+  if (files.empty() || files.size() != manifest.source_fingerprints.size() || files.size() != manifest.source_points.size()) {
     why = "the store does not name its source files";
     return false;
   }
-  for (std::size_t i = 0; i < manifest.source_files.size(); ++i) {
+  for (std::size_t i = 0; i < files.size(); ++i) {
     std::error_code code;
-    if (!std::filesystem::is_regular_file(manifest.source_files[i], code)) {
-      why = concat(manifest.source_files[i], " is not there any more");
+    if (!std::filesystem::is_regular_file(files[i], code)) {
+      why = concat(files[i].string(), " is not there any more");
       return false;
     }
-    if (file_fingerprint(manifest.source_files[i]) != manifest.source_fingerprints[i]) {
-      why = concat(manifest.source_files[i], " has changed since it was ingested");
+    if (file_fingerprint(files[i]) != manifest.source_fingerprints[i]) {
+      why = concat(files[i].string(), " has changed since it was ingested");
       return false;
     }
   }
@@ -44,13 +44,13 @@ const stream::PointBlock& SourceFiles::read(std::size_t max_points) {
   while (!reader_ || left_in_file_ == 0) {
     file_ = reader_ ? file_ + 1 : 0;
     if (file_ >= schemas_.size()) throw Error("source files: fewer points than the store counts");
-    reader_ = stream::open_points(manifest_.source_files[file_], memory_bytes_);
+    reader_ = stream::open_points(files_[file_], memory_bytes_);
     left_in_file_ = manifest_.source_points[file_];
     fields_.clear();
     for (const PointProperty& p : carried_) fields_.push_back(*find_field(schemas_[file_], p));
   }
   if (!reader_->read(block_, static_cast<std::size_t>(std::min<std::uint64_t>(max_points, left_in_file_))))
-    throw Error(concat(manifest_.source_files[file_], ": ends early, ", left_in_file_, " of ", manifest_.source_points[file_], " points are missing"));
+    throw Error(concat(files_[file_].string(), ": ends early, ", left_in_file_, " of ", manifest_.source_points[file_], " points are missing"));
   left_in_file_ -= block_.size();
   return block_;
 }

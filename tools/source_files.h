@@ -2,6 +2,7 @@
 #pragma once
 #include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
@@ -18,8 +19,9 @@ class SourceFiles {
  public:
   /// replaced: names of properties that the result has itself. Those, and what not every file has, are not carried; a note says so.
   /// memory_bytes: for readers of files that are not streamed through and through; throws Error where one needs more.
-  SourceFiles(const stream::Manifest& manifest, const std::vector<std::string>& replaced, std::uint64_t memory_bytes, Reporter& report);
-  static bool unchanged(const stream::Manifest& manifest, std::string& why);
+  SourceFiles(const stream::Manifest& manifest, std::vector<std::filesystem::path> files, const std::vector<std::string>& replaced, std::uint64_t memory_bytes, Reporter& report);
+  /// files: where they are now, in the order of the manifest's.
+  static bool unchanged(const stream::Manifest& manifest, const std::vector<std::filesystem::path>& files, std::string& why);
 
   bool position_is_double() const { return position_is_double_; }
   const std::vector<stream::PointProperty>& carried() const { return carried_; }
@@ -38,6 +40,7 @@ class SourceFiles {
   void choose_carried(const std::vector<std::string>& replaced, Reporter& report);
 
   const stream::Manifest& manifest_;
+  std::vector<std::filesystem::path> files_;
   std::uint64_t memory_bytes_;
   std::vector<stream::PointSchema> schemas_;
   bool position_is_double_ = false;

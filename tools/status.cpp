@@ -4,6 +4,8 @@
 #include <map>
 #include <set>
 
+#include "stream/base/folder_lock.h"
+#include "tools/progress_log.h"
 #include "tools/report_json.h"
 
 namespace chiaro::tools {
@@ -32,13 +34,18 @@ std::map<std::string, Marker> read_markers(const fs::path& folder) {
 
 class TaskList {
  public:
-  TaskList(std::map<std::string, Marker> markers, std::set<std::string> left_out) : markers_(std::move(markers)), left_out_(std::move(left_out)) {}
+  TaskList(std::map<std::string, Marker> markers, std::set<std::string> left_out, std::optional<Progress> progress, bool running)
+      : markers_(std::move(markers)), left_out_(std::move(left_out)), progress_(std::move(progress)), running_(running) {}
 
   void add(const std::string& stage, const std::string& item = "", bool of_photograph = false) {
     TaskStatus task{item.empty() ? stage : stage + "/" + item, stage, item};
     const auto marker = markers_.find(task.name);
     if (of_photograph && left_out_.contains(item)) {
       task.state = TaskState::kLeftOut;
+    } else if (running_ && progress_ && progress_->begun == task.name) {
+      task.state = TaskState::kRunning;
+    } else if (marker != markers_.end() && progress_ && !progress_->done.contains(task.name)) {
+      ++from_before;
     } else if (marker != markers_.end()) {
       task.state = TaskState::kDone;
       task.seconds = marker->second.seconds;
@@ -46,10 +53,13 @@ class TaskList {
     tasks.push_back(std::move(task));
   }
   std::vector<TaskStatus> tasks;
+  std::size_t from_before = 0;
 
  private:
   std::map<std::string, Marker> markers_;
   std::set<std::string> left_out_;
+  std::optional<Progress> progress_;
+  bool running_;
 };
 
 struct Shoot {
@@ -99,6 +109,7 @@ std::vector<StageStatus> stages_of(const std::vector<TaskStatus>& tasks) {
     auto it = std::find_if(stages.begin(), stages.end(), [&](const StageStatus& s) { return s.name == task.stage; });
     if (it == stages.end()) it = stages.insert(stages.end(), StageStatus{task.stage});
     it->done += task.state == TaskState::kDone;
+    it->running += task.state == TaskState::kRunning;
     it->to_do += task.state == TaskState::kToDo;
     it->left_out += task.state == TaskState::kLeftOut;
     it->seconds += task.seconds;
@@ -159,6 +170,7 @@ std::set<std::string> read_record(const RunFolder& folder, RunStatus& status) {
 const char* name_of(TaskState state) {
   switch (state) {
     case TaskState::kDone: return "done";
+    case TaskState::kRunning: return "running";
     case TaskState::kLeftOut: return "left out";
     case TaskState::kToDo: break;
   }
@@ -173,11 +185,13 @@ RunStatus read_status(const RunFolder& folder) {
   RunStatus status;
   status.project = text_of(member(member(project, "project"), "name"));
   status.method = text_of(member(member(project, "solve"), "method"));
-  TaskList list(read_markers(folder.tasks()), read_record(folder, status));
+  status.running = FolderLock::is_held(folder.work());
+  TaskList list(read_markers(folder.tasks()), read_record(folder, status), read_progress(folder.progress()), status.running);
   add_tasks(list, shoots_of(project, folder.project()), status.method, project);
+  status.from_before = list.from_before;
   status.tasks = std::move(list.tasks);
   status.stages = stages_of(status.tasks);
-  status.complete = std::none_of(status.tasks.begin(), status.tasks.end(), [](const TaskStatus& t) { return t.state == TaskState::kToDo; });
+  status.complete = std::none_of(status.tasks.begin(), status.tasks.end(), [](const TaskStatus& t) { return t.state == TaskState::kToDo || t.state == TaskState::kRunning; });
   add_parts(status, folder);
   return status;
 }

@@ -11,11 +11,12 @@
 namespace chiaro::tools {
 
 enum class TaskState {
-  kDone,     ///< its marker is there; after a change of the project file it may run again all the same
-  kToDo,
+  kDone,     ///< made by the last run, or found right by it
+  kRunning,
+  kToDo,     ///< also where a result of an earlier run is there, until the run comes to it: whether it still holds shows then
   kLeftOut,  ///< of a photograph that the last run left out
 };
-/// "done", "to do", "left out".
+/// "done", "running", "to do", "left out".
 const char* name_of(TaskState state);
 
 struct TaskStatus {
@@ -27,7 +28,7 @@ struct TaskStatus {
 
 struct StageStatus {
   std::string name;
-  std::size_t done = 0, to_do = 0, left_out = 0;
+  std::size_t done = 0, running = 0, to_do = 0, left_out = 0;
   double seconds = 0;         ///< sum over its tasks that are done
 };
 
@@ -44,10 +45,12 @@ struct RunStatus {
   std::uint64_t bytes = 0;          ///< of everything in the folder
   bool has_record = false;          ///< run.json is there
   std::optional<int> exit_code;     ///< of the last run that ended
+  bool running = false;             ///< a run is at work in the folder
+  std::size_t from_before = 0;      ///< of the tasks to do: a result of an earlier run is there
   bool complete = false;            ///< nothing to do
 };
 
-/// Tasks that the project implies (work/project.json), against the markers in work/tasks. Damaged markers count as to do: the task would run again.
+/// Tasks that the project implies (work/project.json), against the markers in work/tasks and work/progress. Damaged markers count as to do: the task would run again.
 /// throws Error naming the file if the folder is none that `chiaro run` made, or project.json or run.json is damaged.
 RunStatus read_status(const RunFolder& folder);
 

@@ -186,6 +186,11 @@ void make_folder(const fs::path& folder) {
   if (code) throw Error(concat(folder.string(), ": folder cannot be made: ", code.message()));
 }
 
+void empty_folder(const fs::path& folder) {
+  std::error_code code;
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder, code)) fs::remove_all(entry.path(), code);
+}
+
 std::uint64_t free_disk_bytes(const fs::path& path) {
   fs::path at = fs::absolute(path);
   std::error_code code;

@@ -86,6 +86,8 @@ void write_text(const std::filesystem::path& path, std::string_view text);
 void sync_folder(const std::filesystem::path& folder);
 /// Makes the folder and its parents. throws Error with the system's reason.
 void make_folder(const std::filesystem::path& folder);
+/// Removes what is in a folder, but not the folder.
+void empty_folder(const std::filesystem::path& folder);
 /// Bytes free for this user on the disk of `path` (its nearest existing parent).
 std::uint64_t free_disk_bytes(const std::filesystem::path& path);
 /// Bytes that a file takes on the disk (holes take none); 0 if it is not there.

@@ -77,6 +77,30 @@ std::string detail::profile_name(std::span<const std::uint8_t> icc) {
   return unnamed;
 }
 
+int detail::exif_orientation(std::span<const std::uint8_t> block) {
+  constexpr std::size_t kHead = 6, kEntry = 12;
+  constexpr std::uint32_t kOrientationTag = 274, kMostEntries = 1000;
+  if (block.size() < kHead + 8 || std::memcmp(block.data(), "Exif\0\0", kHead) != 0) return 1;
+  const std::span<const std::uint8_t> tiff = block.subspan(kHead);
+  const bool big = tiff[0] == 'M';
+  const auto number = [&](std::size_t at, std::size_t bytes) {
+    std::uint32_t v = 0;
+    for (std::size_t i = 0; i < bytes; ++i) v |= std::uint32_t{tiff[at + i]} << 8 * (big ? bytes - 1 - i : i);
+    return v;
+  };
+  const std::size_t directory = number(4, 4);
+  if (directory > tiff.size() - 2) return 1;
+  const std::uint32_t count = std::min(number(directory, 2), kMostEntries);
+  for (std::size_t i = 0, at = directory + 2; i < count && at + kEntry <= tiff.size(); ++i, at += kEntry)
+    if (number(at, 2) == kOrientationTag) return static_cast<int>(number(at + 8, 2));
+  return 1;
+}
+
+void detail::note_orientation(int orientation, ImageInfo& info) {
+  if (orientation <= 1 || orientation > 8) return;
+  info.notes.push_back(concat("its orientation tag (", orientation, ") asks viewers to turn or mirror it; its pixels are taken as they are stored, which is what camera files mean"));
+}
+
 detail::FilePtr detail::open_c_file(const fs::path& path) {
   File check(path, File::Mode::kRead);  // gives the system's reason, and refuses folders
   FilePtr file(std::fopen(path.c_str(), "rb"));

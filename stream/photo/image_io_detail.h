@@ -31,6 +31,11 @@ void check_buffer(const std::filesystem::path& path, std::uint64_t bytes, const 
 /// Description of an ICC profile ("sRGB IEC61966-2.1"); "unnamed" if it has none that can be read.
 std::string profile_name(std::span<const std::uint8_t> icc);
 
+/// 1 to 8 as EXIF counts; 1 where the block ("Exif", then a TIFF header and its first directory) says nothing or is damaged.
+int exif_orientation(std::span<const std::uint8_t> block);
+/// Adds a note where viewers would turn or mirror the picture: cameras are those of the pixels as they are stored.
+void note_orientation(int orientation, ImageInfo& info);
+
 struct CloseFile {
   void operator()(std::FILE* file) const { std::fclose(file); }
 };

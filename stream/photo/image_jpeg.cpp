@@ -54,6 +54,7 @@ class JpegReader : public detail::RowReader {
       jpeg_create_decompress(&jpeg_);
       jpeg_.progress = &progress_;
       jpeg_stdio_src(&jpeg_, file_.get());
+      jpeg_save_markers(&jpeg_, JPEG_APP0 + 1, 0xffff);   // EXIF
       jpeg_save_markers(&jpeg_, JPEG_APP0 + 2, 0xffff);
       jpeg_read_header(&jpeg_, TRUE);
     });
@@ -100,6 +101,8 @@ class JpegReader : public detail::RowReader {
     jpeg_.out_color_space = jpeg_.jpeg_color_space == JCS_GRAYSCALE ? JCS_GRAYSCALE : JCS_RGB;
     jpeg_.dct_method = JDCT_ISLOW;
     read_profile();
+    for (const jpeg_marker_struct* m = jpeg_.marker_list; m; m = m->next)
+      if (m->marker == JPEG_APP0 + 1) detail::note_orientation(detail::exif_orientation({m->data, m->data_length}), info);
     call_at(0, [&] { jpeg_start_decompress(&jpeg_); });
     info.format = "JPEG";
     info.channels = jpeg_.output_components;

@@ -204,6 +204,9 @@ class TiffReader : public detail::RowReader {
     std::uint32_t icc_bytes = 0;
     void* icc = nullptr;
     if (TIFFGetField(tiff, TIFFTAG_ICCPROFILE, &icc_bytes, &icc) && icc) info.profile = detail::profile_name({static_cast<const std::uint8_t*>(icc), icc_bytes});
+    std::uint16_t orientation = 1;
+    TIFFGetFieldDefaulted(tiff, TIFFTAG_ORIENTATION, &orientation);
+    detail::note_orientation(orientation, info);
     if (TIFFLastDirectory(tiff) == 0) info.notes.push_back("holds several pictures; the first one is taken");
   }
 

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "stream/base/error.h"
+#include "stream/base/folder_lock.h"
 #include "stream/base/hash.h"
 #include "stream/base/parallel.h"
 #include "stream/cloud/spool.h"
@@ -55,13 +56,13 @@ class Builder {
 
   Manifest run() {
     const std::string key = build_key(input_, options_);
+    make_folder(part_);
+    const FolderLock lock(part_);
     if (auto journal = read_journal(part_, key)) {
       b_ = std::move(*journal);
       if (b_.phase > BuildPhase::kStarted) report_.note(concat("going on with the build of ", out_.string(), " where it stopped"));
     } else {
-      std::error_code code;
-      fs::remove_all(part_, code);
-      make_folder(part_);
+      empty_folder(part_);   // not removed: it is what is locked
       b_.manifest.key = key;
     }
     if (b_.phase < BuildPhase::kSpilled) spill();

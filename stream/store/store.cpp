@@ -10,6 +10,8 @@
 namespace chiaro::stream {
 namespace fs = std::filesystem;
 
+double metres_per_unit(std::string_view unit) { return unit == "mm" ? 1e-3 : unit == "cm" ? 1e-2 : 1.0; }
+
 struct Store::Impl {
   fs::path path;
   Manifest manifest;

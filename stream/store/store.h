@@ -9,6 +9,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "stream/base/file.h"
@@ -49,6 +50,9 @@ struct Manifest {
   std::vector<std::uint64_t> source_points;   ///< points read per file, rejected ones included: source index = running number over all files
   std::string key;                        ///< hash of inputs and options that made it
 };
+
+/// Of the names that `Manifest::unit` may have: m, cm, mm. What is stated per area or per solid angle in metres (W/sr, W/m^2) needs it.
+double metres_per_unit(std::string_view unit);
 
 /// The geometry of one chunk in memory.
 struct Chunk {

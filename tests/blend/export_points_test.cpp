@@ -372,6 +372,20 @@ TEST_F(ExportPoints, AFileThatTheBudgetCannotHoldOnceMoreCostsItsPropertiesAndNo
   EXPECT_NE(report.notes.find("positions come from the store"), std::string::npos) << report.notes;
 }
 
+TEST_F(ExportPoints, ASourceFileThatHasMovedIsReadWhereItIsNow) {
+  const stream::Store store = build();
+  write_layer(store);
+  run(store, to("before.ply"));
+  const std::filesystem::path moved = folder.path() / "elsewhere.ply";
+  std::filesystem::rename(cloud, moved);
+  ExportOptions options = to("after.ply");
+  options.sources = {moved};
+  EXPECT_FALSE(run(store, options).positions_from_store);
+  EXPECT_EQ(read_text(folder.path() / "before.ply"), read_text(folder.path() / "after.ply"));
+  write_ply(moved, input_points(3));   // another file of that name is none of its sources
+  EXPECT_TRUE(run(store, options).positions_from_store);
+}
+
 TEST_F(ExportPoints, SeveralFilesFollowOneAnotherAndKeepWhatAllOfThemHave) {
   const auto second = input_points(2);
   const auto other = folder.path() / "second.ply";

@@ -276,10 +276,11 @@ TEST_F(BadInput, AFlashBesideItsPlaceIsFound) {
   EXPECT_LE(error_of(s).absolute, 0.01);
 }
 
-// The same numbers, a hundred times smaller: 1.3 mm is nothing unlikely, 13 cm would be.
+// The same scene, a hundred times smaller: 1.3 mm is nothing unlikely, 13 cm would be.
 TEST_F(BadInput, AFlashBesideItsPlaceIsFoundInCentimetres) {
   const TinyScene s = scene();
   edit("scene/project.toml", "unit = \"m\"", "unit = \"cm\"");
+  edit("scene/project.toml", "intensity_range = [8.95, 9.05]", "intensity_range = [8.95e-4, 9.05e-4]");
   edit("scene/project.toml", "offset_in_camera = [0.25, -0.2, 0.02]", "offset_in_camera = [0.35, -0.12, 0.02]");
   const ProcessResult ran = run("out");
   ASSERT_EQ(ran.code, 0) << ran.err;

@@ -147,6 +147,16 @@ INSTANTIATE_TEST_SUITE_P(
                            "no camera"}),
     [](const auto& i) { return std::string(i.param.name); });
 
+TEST_F(ExitCode, WhatAnEarlierRunMadeOfAPhotographThatIsLeftOutNowGoes) {
+  const TinyScene s = scene();
+  ASSERT_EQ(run("out").code, 0);
+  ASSERT_TRUE(fs::exists(at("out/photographs/photo_01/albedo.exr")));
+  put_bytes(s.folder / "photos/photo_01.exr", "no picture");
+  ASSERT_EQ(run("out").code, 3);
+  EXPECT_FALSE(fs::exists(at("out/photographs/photo_01")));
+  EXPECT_TRUE(fs::exists(at("out/photographs/photo_00/albedo.exr")));
+}
+
 TEST_F(ExitCode, IsThreeForPointsThatAreNotFinite) {
   const TinyScene s = scene({.photographs = 1});
   std::string bytes = file_bytes(s.folder / "cloud.ply");
@@ -171,6 +181,7 @@ TEST_F(ExitCode, Is130AfterAnInterruptAndTheRunGoesOn) {
   EXPECT_FALSE(ran.signalled);
   EXPECT_THAT(ran.err, HasSubstr("interrupted"));
   EXPECT_FALSE(fs::exists(at("out/albedo.ply")));
+  EXPECT_EQ(json("out/run.json")["exit"], 130);
   ASSERT_EQ(run("out").code, 0);
   EXPECT_THAT(differences(results("whole"), results("out")), testing::IsEmpty());
   EXPECT_TRUE(json("out/run.json")["stages"][0]["reused"].get<bool>());

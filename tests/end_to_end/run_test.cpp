@@ -1,6 +1,7 @@
 /// `chiaro run` as a user runs it, on a scene with a known answer.
 #include <cmath>
 
+#include "stream/base/folder_lock.h"
 #include "stream/photo/image_io.h"
 #include "tests/support/run_fixture.h"
 
@@ -66,6 +67,36 @@ TEST_F(Run, FindsAlbedoAndLightsOfAPaintedSphere) {
   EXPECT_NEAR(lights["flash_intensity"].get<double>(), s.options.flash_intensity, 0.02 * s.options.flash_intensity);
   EXPECT_NEAR(lights["ambient"].get<double>(), s.options.ambient_radiance, 0.05 * s.options.ambient_radiance);
 }
+
+/// Intensities are W/sr and radiances per square metre in any project: lengths alone change with the unit. Measured: albedo 3e-5, lights 1e-5, view 2e-4 apart, by rounding.
+class RunInUnit : public RunTest, public testing::WithParamInterface<const char*> {};
+
+TEST_P(RunInUnit, ComesToWhatItComesToInMetres) {
+  TinySceneOptions options;
+  const TinyScene s = scene(options, "metres");
+  options.unit = GetParam();
+  scene(options);
+  ASSERT_EQ(run("m", {}, {}, "metres").code, 0);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  const PlyVertices here = read_ply(at("out/albedo.ply")), there = read_ply(at("m/albedo.ply"));
+  std::vector<std::array<double, 3>> expected_albedo = s.albedo;
+  for (std::size_t i = 0; i < there.size(); ++i)
+    if (there.column("photos")[i] > 0) expected_albedo[i] = {there.column("albedo_r")[i], there.column("albedo_g")[i], there.column("albedo_b")[i]};
+  EXPECT_LE(albedo_error(here, expected_albedo).absolute, 1e-3);
+  const auto found = json("out/lights.json").at("acquisitions").at(0), expected = json("m/lights.json").at("acquisitions").at(0);
+  for (const char* name : {"flash_intensity", "flash_intensity_sd", "ambient", "ambient_sd"}) EXPECT_NEAR(found[name].get<double>() / expected[name].get<double>(), 1, 0.01) << name;
+  for (const std::string name : {"m", "out"})
+    ASSERT_EQ(chiaro({"render", at(name).string(), "--views", at((name == "m" ? "metres" : "scene") + std::string("/novel/views.toml")).string(), "--out", at("novel_" + name).string()}).code, 0);
+  const stream::Image view = stream::read_image(at("novel_out/novel_00.exr")), view_in_metres = stream::read_image(at("novel_m/novel_00.exr"));
+  double error = 0, size = 0;
+  for (std::size_t i = 0; i < view.values.size(); ++i) {
+    error += std::abs(static_cast<double>(view.values[i]) - static_cast<double>(view_in_metres.values[i]));
+    size += static_cast<double>(view_in_metres.values[i]);
+  }
+  EXPECT_LE(error / size, 2e-3);
+}
+INSTANTIATE_TEST_SUITE_P(Units, RunInUnit, testing::Values("cm", "mm"), [](const auto& i) { return std::string(i.param); });
 
 TEST_F(Run, KeepsRatiosWhereTheRangeIsWide) {
   TinySceneOptions options;
@@ -165,6 +196,50 @@ TEST_F(Run, ComesToTheSameResultAfterAChangeAndBack) {
   EXPECT_THAT(differences(before, results("out")), testing::IsEmpty());
 }
 
+TEST_F(Run, LeavesAFolderAloneInWhichAnotherRunIsAtWork) {
+  scene({.photographs = 1});
+  ASSERT_EQ(run("out").code, 0);
+  const auto before = files_below(at("out"), {});
+  const FolderLock other(at("out/work"));
+  const ProcessResult ran = run("out", {"--set", "solve.method=direct"});
+  EXPECT_EQ(ran.code, 1);
+  EXPECT_THAT(ran.err, HasSubstr("another chiaro is at work"));
+  EXPECT_THAT(differences(before, files_below(at("out"), {})), testing::IsEmpty());
+}
+
+/// A scan whose normals point inwards: no photograph sees the front of anything.
+TEST_F(Run, SaysThatTheNormalsPointInwards) {
+  TinySceneOptions options;
+  options.normals_inwards = true;
+  scene(options);
+  for (const char* method : {"joint", "none"}) {
+    const ProcessResult ran = run("out", {"--set", std::string("solve.method=") + method});
+    EXPECT_EQ(ran.code, 1) << method;
+    EXPECT_THAT(ran.err, HasSubstr(" % of what the photographs show of the cloud, they see from behind")) << method;
+    EXPECT_THAT(ran.err, HasSubstr("error: ")) << method;
+    EXPECT_THAT(ran.err, HasSubstr("cloud.normals = \"estimate\"")) << method;
+    EXPECT_EQ(json("out/run.json")["exit"], 1) << method;
+  }
+  EXPECT_EQ(run("out", {"--set", "cloud.normals=estimate"}).code, 0);
+}
+
+/// From either side of a sphere two photographs have a few grazing places in common, which tell nothing about their lights.
+TEST_F(Run, SolvesPhotographsByThemselvesThatShareNothing) {
+  TinySceneOptions options;
+  options.azimuth_step = 2.6;
+  options.from_level = true;
+  options.photographs = 2;
+  options.uniform_paint = true;
+  const TinyScene s = scene(options);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("places of the cloud in common"));
+  const auto lights = json("out/lights.json").at("acquisitions").at(0);
+  ASSERT_EQ(lights.at("photographs").size(), 2u);
+  EXPECT_THAT(lights.at("how").get<std::string>(), HasSubstr("each photograph by itself"));
+  EXPECT_LE(albedo_error(read_ply(at("out/albedo.ply")), s.albedo).absolute, 0.03);
+}
+
 TEST_F(Run, StaysWithinItsMemory) {
   scene();
   const ProcessResult ran = run("out", {"--memory", "256MiB"});
@@ -174,6 +249,19 @@ TEST_F(Run, StaysWithinItsMemory) {
   EXPECT_GT(memory["peak_bytes"].get<std::uint64_t>(), 1u << 20);
   EXPECT_LE(memory["peak_bytes"].get<std::uint64_t>(), 256u << 20);
   EXPECT_LE(ran.peak_bytes, 256u << 20);
+}
+
+TEST_F(Run, CountsPointsOnceForSeveralExportsAndFindsAMovedCloud) {
+  scene({.photographs = 1});
+  ASSERT_EQ(run("out", {"--set", "solve.method=direct"}).code, 0);
+  const std::string before = file_bytes(at("out/albedo.ply"));
+  fs::rename(at("scene"), at("moved"));
+  edit("moved/project.toml", "file = \"albedo.ply\"\n", "file = \"again.ply\"\n[[export]]\nfile = \"more.las\"\n");
+  const ProcessResult ran = run("out", {"--set", "solve.method=direct"}, {}, "moved");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("positions come from the store")));
+  EXPECT_EQ(file_bytes(at("out/again.ply")), before);
+  EXPECT_EQ(json("out/run.json")["counts"]["points_out"], 6000);
 }
 
 TEST_F(Run, RecordsWhatItDid) {

@@ -35,10 +35,10 @@ View look_from(const std::string& name, const Vec3d& eye) {
   return v;
 }
 
-std::vector<View> make_views(int count) {
+std::vector<View> make_views(const TinySceneOptions& o) {
   std::vector<View> views;
-  for (int i = 0; i < count; ++i) {
-    const double azimuth = -1.2 + 0.5 * i, distance = i % 2 == 0 ? 3.6 : 4.6, up = 0.5 + 0.35 * (i % 3);
+  for (int i = 0; i < o.photographs; ++i) {
+    const double azimuth = -1.2 + o.azimuth_step * i, distance = i % 2 == 0 ? 3.6 : 4.6, up = o.from_level ? 0 : 0.5 + 0.35 * (i % 3);
     std::ostringstream name;
     name << "photo_" << std::setw(2) << std::setfill('0') << i;
     views.push_back(look_from(name.str(), distance * Vec3d(std::cos(azimuth), std::sin(azimuth), up).normalized()));
@@ -101,6 +101,8 @@ double as_float(double value) {
   return static_cast<double>(f);
 }
 
+double units_per_metre(const TinySceneOptions& o) { return o.unit == "mm" ? 1000 : o.unit == "cm" ? 100 : 1; }
+
 /// A spiral of equal areas; taken in steps of a number without common factors, so that the file's order is not the order in space.
 std::vector<Vec3d> sphere_points(std::size_t count) {
   std::vector<Vec3d> points(count);
@@ -126,8 +128,8 @@ void write_cloud(const fs::path& path, const TinySceneOptions& o, const std::vec
     text.append(bytes, 4);
   };
   for (const Vec3d& p : points) {
-    for (int repeat = 0; repeat < (o.with_normals ? 2 : 1); ++repeat)
-      for (int c = 0; c < 3; ++c) put(p[c]);
+    for (int c = 0; c < 3; ++c) put(p[c] * units_per_metre(o));
+    for (int c = 0; c < 3 && o.with_normals; ++c) put(o.normals_inwards ? -p[c] : p[c]);
     if (o.with_colours) text.append(3, static_cast<char>(128));
   }
   std::ofstream(path, std::ios::binary) << text;
@@ -144,7 +146,7 @@ void write_cameras(const fs::path& folder, const TinySceneOptions& o, const std:
   images << std::setprecision(15);
   for (std::size_t i = 0; i < views.size(); ++i) {
     const Eigen::Quaterniond q(views[i].rotation);
-    const Vec3d t = -(views[i].rotation * views[i].eye);
+    const Vec3d t = -(views[i].rotation * views[i].eye) * units_per_metre(o);
     images << i + 1 << ' ' << q.w() << ' ' << q.x() << ' ' << q.y() << ' ' << q.z() << ' ' << t.x() << ' ' << t.y() << ' ' << t.z() << " 1 " << views[i].name << ".exr\n\n";
   }
   std::ofstream(folder / "points3D.txt") << "# none\n";
@@ -168,10 +170,10 @@ std::string reference_text(const TinySceneOptions& o, const View& view) {
 
 std::string project_text(const TinySceneOptions& o, const std::vector<View>& views) {
   std::ostringstream text;
-  text << "[project]\nname = \"tiny\"\nunit = \"m\"\n\n[cloud]\nfiles = [\"cloud.ply\"]\nnormals = \"auto\"\n\n[[acquisition]]\nname = \"day1\"\nphotographs = [\"photos/photo_*.exr\"]\n"
+  text << "[project]\nname = \"tiny\"\nunit = \"" << o.unit << "\"\n\n[cloud]\nfiles = [\"cloud.ply\"]\nnormals = \"auto\"\n\n[[acquisition]]\nname = \"day1\"\nphotographs = [\"photos/photo_*.exr\"]\n"
        << "encoding = \"linear\"\n" << (o.masks ? "masks = \"masks/{stem}.png\"\n" : "") << "cameras = \"sparse\"\nnoise = { gain = " << o.noise_gain << ", read_sigma = " << o.read_sigma << " }\n";
   if (o.flash) {
-    text << "\n[acquisition.flash]\noffset_in_camera = [" << o.flash_in_camera[0] << ", " << o.flash_in_camera[1] << ", " << o.flash_in_camera[2] << "]\n";
+    text << "\n[acquisition.flash]\noffset_in_camera = [" << o.flash_in_camera[0] * units_per_metre(o) << ", " << o.flash_in_camera[1] * units_per_metre(o) << ", " << o.flash_in_camera[2] * units_per_metre(o) << "]\n";
     if (o.write_range) text << "intensity_range = [" << o.intensity_range[0] << ", " << o.intensity_range[1] << "]\n";
   }
   if (o.reference && !views.empty()) text << reference_text(o, views.front());
@@ -190,7 +192,7 @@ void write_novel_view(const fs::path& folder, const TinySceneOptions& o) {
   if (o.radial_k1 != 0) text << ", " << o.radial_k1;
   text << "] }\nrotation_camera_from_world = [";
   for (int r = 0; r < 3; ++r) text << (r > 0 ? ", " : "") << "[" << view.rotation(r, 0) << ", " << view.rotation(r, 1) << ", " << view.rotation(r, 2) << "]";
-  const Vec3d t = -(view.rotation * view.eye), f = kNovelFlashInCamera;
+  const Vec3d t = -(view.rotation * view.eye) * units_per_metre(o), f = kNovelFlashInCamera * units_per_metre(o);
   text << "]\ntranslation_camera_from_world = [" << t.x() << ", " << t.y() << ", " << t.z() << "]\nflash_offset_in_camera = [" << f.x() << ", " << f.y() << ", " << f.z() << "]\n";
 }
 
@@ -208,7 +210,7 @@ TinyScene write_tiny_scene(const fs::path& folder, const TinySceneOptions& optio
   TinyScene scene{folder, folder / "project.toml", options, sphere_points(options.points), {}};
   for (const Vec3d& p : scene.positions) scene.albedo.push_back(tiny_albedo(options, p));
   for (const char* sub : {"photos", "masks", "sparse", "novel"}) fs::create_directories(folder / sub);
-  const std::vector<View> views = make_views(options.photographs);
+  const std::vector<View> views = make_views(options);
   write_cloud(folder / "cloud.ply", options, scene.positions);
   write_cameras(folder / "sparse", options, views);
   for (const View& view : views) {

@@ -16,8 +16,11 @@ namespace chiaro::test {
 struct TinySceneOptions {
   std::size_t points = 6000;
   bool with_normals = true;
+  bool normals_inwards = false;
   bool with_colours = true;             ///< uchar red, green, blue: mid-grey
   int photographs = 3;                  ///< photo_00.exr, photo_01.exr, … at different distances
+  double azimuth_step = 0.5;            ///< rad, from one photograph to the next
+  bool from_level = false;              ///< all cameras at the height of the sphere's middle; else from above, at three heights
   int width_px = 96, height_px = 72;
   double focal_px = 110;
   double flash_intensity = 9;           ///< W/sr
@@ -29,7 +32,8 @@ struct TinySceneOptions {
   bool masks = true;
   bool reference = false;               ///< a polygon of known albedo in photo_00
   bool flash = true;                    ///< false: no [acquisition.flash]
-  std::array<double, 3> flash_in_camera{0.25, -0.2, 0.02};
+  std::array<double, 3> flash_in_camera{0.25, -0.2, 0.02};   ///< metres
+  std::string unit = "m";               ///< of the files: m, cm, mm. The sphere's radius is one metre in any
   double noise_gain = 1e-5, read_sigma = 1e-4;   ///< declared only; the pictures carry no noise
 };
 

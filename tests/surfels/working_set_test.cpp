@@ -136,6 +136,50 @@ TEST(WorkingSet, ABandOfRowsKeepsWhatCastsShadowsIntoIt) {
   EXPECT_LT(2 * of_band, of_all);
 }
 
+// A twig beside the camera, outside its picture and near the flash, whose shadow falls on the picture's edge.
+TEST(WorkingSet, TakesWhatStandsBetweenTheFlashAndTheEdgeOfThePicture) {
+  View view = view_to({0, 0, 4}, {0, 0, 0}, 400, 300, 500);
+  const Vec3d flash(0.4, 0, 0), edge(-1.59, 0, 4);   // camera frame; the picture ends at slopes of 0.4
+  view.lights_in_world = {view.pose.world_from_camera(flash)};
+  const Vec3d twig = view.pose.world_from_camera(flash + 0.08 * (edge - flash));
+  const ScratchFolder folder;
+  auto points = tests::square_points(300, 8.0, {0, 0, 0}, {0, 0, 1}, 1);
+  const auto more = tests::square_points(6, 0.008, twig, {0, 0, 1}, 2);
+  points.insert(points.end(), more.begin(), more.end());
+  const stream::Store store = tests::build_test_store(points, folder.path(), 256);
+  MemoryBudget budget(kRoom);
+  CutOptions options;
+  options.cull_hidden = false;
+  const auto takes_twig = [&](const View& v) {
+    const WorkingSet set = select_visible(store, v, options, budget, silent_reporter());
+    return std::any_of(set.chunks.begin(), set.chunks.end(), [&](std::uint32_t c) { return distance_to_box(twig, store.bounds(c)) < 0.005; });
+  };
+  EXPECT_TRUE(takes_twig(view));
+  view.lights_in_world.clear();
+  EXPECT_FALSE(takes_twig(view));   // it is not in the picture itself
+}
+
+TEST(WorkingSet, AProxyHoldsWhatItMayAndIsFinerWhereAPhotographLooks) {
+  const ScratchFolder folder;
+  const stream::Store store = tests::build_test_store(tests::square_points(500, 8.0, {0, 0, 0}, {0, 0, 1}, 1), folder.path(), 1024);
+  const std::vector<View> views{view_to({0, 0, 2}, {2, 0, 0}, 400, 300, 500)};
+  EXPECT_LE(select_proxy(store, views, 1'000'000, 20'000).surfels, 20'000u);
+  const WorkingSet set = select_proxy(store, views, 30'000, 60'000);
+  std::uint64_t all = 0;
+  double ahead = 0, behind = 0;   // at the same distances from the camera
+  for (const std::uint32_t c : set.chunks) {
+    all += store.chunks()[c].count;
+    const stream::Chunk chunk = store.read_chunk(c);
+    for (std::uint32_t i = 0; i < chunk.count; ++i) {
+      const Vec3d p = chunk.surfel(i).position_in_world;
+      if (std::fabs(p.y()) < 1 && std::fabs(p.x()) > 1.5 && std::fabs(p.x()) < 2.5) (p.x() > 0 ? ahead : behind) += 1;
+    }
+  }
+  EXPECT_EQ(all, set.surfels);
+  EXPECT_GT(behind, 0);
+  EXPECT_GT(ahead, 3 * behind);
+}
+
 // Distances are those of the surfels that are there: what is taken lies a pixel apart at most, and what it came from lay further apart.
 TEST(WorkingSet, TakesTheCoarsestLevelWhoseSurfelsLieAPixelApart) {
   const ScratchFolder folder;

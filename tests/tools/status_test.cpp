@@ -7,8 +7,10 @@
 
 #include "run_fixture.h"
 #include "stream/base/error.h"
+#include "stream/base/folder_lock.h"
 #include "tools/command.h"
 #include "tools/commands.h"
+#include "tools/progress_log.h"
 
 namespace chiaro::tools {
 namespace {
@@ -51,6 +53,35 @@ TEST(Status, ListsWhatHasNoMarkerAsToDo) {
   EXPECT_EQ(task(s, "albedo/photo_01").state, TaskState::kToDo);
   EXPECT_EQ(task(s, "albedo/photo_00").state, TaskState::kDone);
   EXPECT_EQ(task(s, "develop/photo_99").state, TaskState::kToDo);
+}
+
+// Markers of an earlier run say nothing of one that has not come to them: its options may be others.
+TEST(Status, ResultsOfAnEarlierRunAreToDoUntilTheRunComesToThem) {
+  RunFixture run;
+  run.write();
+  {
+    ProgressLog log(run.folder.progress());
+    for (const char* name : {"ingest", "develop/photo_00"}) {
+      log.begun(name);
+      log.done(name);
+    }
+    log.begun("develop/photo_01");
+  }
+  RunStatus s = read_status(run.folder);
+  EXPECT_FALSE(s.complete);
+  EXPECT_FALSE(s.running);
+  EXPECT_EQ(task(s, "ingest").state, TaskState::kDone);
+  EXPECT_EQ(task(s, "develop/photo_00").state, TaskState::kDone);
+  EXPECT_EQ(task(s, "develop/photo_01").state, TaskState::kToDo);   // it was stopped there
+  EXPECT_EQ(task(s, "blend").state, TaskState::kToDo);
+  EXPECT_EQ(s.from_before, 5u + 8u - 2u);
+  const FolderLock at_work(run.folder.work());
+  s = read_status(run.folder);
+  EXPECT_TRUE(s.running);
+  EXPECT_EQ(task(s, "develop/photo_01").state, TaskState::kRunning);
+  EXPECT_EQ(s.stages[1].running, 1u);
+  ProgressLog anew(run.folder.progress());
+  EXPECT_EQ(read_status(run.folder).from_before, 5u + 8u);
 }
 
 TEST(Status, KnowsTheTasksOfBlendingAlone) {

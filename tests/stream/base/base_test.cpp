@@ -5,6 +5,7 @@
 #include "stream/base/budget.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/base/folder_lock.h"
 #include "stream/base/hash.h"
 #include "stream/base/parallel.h"
 #include "stream/base/rng.h"
@@ -106,6 +107,29 @@ TEST(Parallel, SumsTheSameBitsForAnyThreadCount) {
 
 TEST(Parallel, SurfacesExceptions) {
   EXPECT_THROW(parallel_blocks(100, 1, [](std::size_t b, std::size_t) { if (b == 57) throw Error("x"); }), Error);
+}
+
+TEST(FolderLock, HoldsAFolderForOneAtATime) {
+  const ScratchFolder scratch;
+  {
+    EXPECT_FALSE(FolderLock::is_held(scratch.path()));
+    FolderLock first(scratch.path());
+    EXPECT_TRUE(FolderLock::is_held(scratch.path()));
+    EXPECT_THROW(FolderLock(scratch.path()), Error);
+    const FolderLock moved = std::move(first);
+    EXPECT_THROW(FolderLock(scratch.path()), Error);
+  }
+  EXPECT_NO_THROW(FolderLock(scratch.path()));
+  EXPECT_TRUE(std::filesystem::is_empty(scratch.path()));
+}
+
+TEST(EmptyFolder, RemovesAllButTheFolder) {
+  const ScratchFolder scratch;
+  std::filesystem::create_directories(scratch.path() / "a/b");
+  write_text(scratch.path() / "a/b/file", "x");
+  write_text(scratch.path() / ".hidden", "x");
+  empty_folder(scratch.path());
+  EXPECT_TRUE(std::filesystem::is_empty(scratch.path()));
 }
 
 }  // namespace

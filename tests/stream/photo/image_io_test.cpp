@@ -24,6 +24,7 @@ std::vector<float> ramp(int width, int height, int channels) {
 
 struct TiffSpec {
   int width = 13, height = 9, samples = 3, bits = 8, format = SAMPLEFORMAT_UINT, planar = PLANARCONFIG_CONTIG, compression = COMPRESSION_NONE, photometric = PHOTOMETRIC_RGB, tile = 0;
+  std::uint16_t orientation = ORIENTATION_TOPLEFT;
 };
 
 std::uint32_t code(const TiffSpec&, int x, int y, int c) { return static_cast<std::uint32_t>((x * 7 + y * 31 + c * 50) % 256); }
@@ -51,6 +52,7 @@ void make_tiff(const fs::path& path, const TiffSpec& spec) {
   TIFFSetField(tiff, TIFFTAG_PLANARCONFIG, spec.planar);
   TIFFSetField(tiff, TIFFTAG_COMPRESSION, spec.compression);
   TIFFSetField(tiff, TIFFTAG_PHOTOMETRIC, spec.photometric);
+  TIFFSetField(tiff, TIFFTAG_ORIENTATION, spec.orientation);
   const bool planar = spec.planar == PLANARCONFIG_SEPARATE;
   const int planes = planar ? spec.samples : 1, inside = planar ? 1 : spec.samples;
   if (spec.tile > 0) {
@@ -84,7 +86,7 @@ std::vector<std::uint8_t> bytes_ramp(int count) {
   return values;
 }
 
-void make_jpeg(const fs::path& path, int width, int height, int channels, bool progressive, int quality = 95) {
+void make_jpeg(const fs::path& path, int width, int height, int channels, bool progressive, int quality = 95, const std::string& exif = {}) {
   jpeg_compress_struct jpeg{};
   jpeg_error_mgr errors{};
   jpeg.err = jpeg_std_error(&errors);
@@ -99,6 +101,7 @@ void make_jpeg(const fs::path& path, int width, int height, int channels, bool p
   jpeg_set_quality(&jpeg, quality, TRUE);
   if (progressive) jpeg_simple_progression(&jpeg);
   jpeg_start_compress(&jpeg, TRUE);
+  if (!exif.empty()) jpeg_write_marker(&jpeg, JPEG_APP0 + 1, reinterpret_cast<const JOCTET*>(exif.data()), static_cast<unsigned>(exif.size()));
   std::vector<std::uint8_t> row(static_cast<std::size_t>(width * channels));
   for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width; ++x)
@@ -302,6 +305,50 @@ TEST(Jpeg, ReadsBaselineAndProgressiveAlike) {
     EXPECT_EQ(a.values, b.values);
     EXPECT_NEAR(a.at(10, 10, 0), (40 + 40 + 30) / 255.0, 0.03);
   }
+}
+
+/// "Exif", a TIFF header, and a directory of a camera's maker and the orientation.
+std::string exif_block(bool big, std::uint16_t orientation) {
+  const auto number = [&](std::uint32_t v, int bytes) {
+    std::string s;
+    for (int k = 0; k < bytes; ++k) s += static_cast<char>(v >> 8 * (big ? bytes - 1 - k : k) & 0xff);
+    return s;
+  };
+  std::string block = std::string("Exif\0\0", 6) + (big ? "MM" : "II") + number(42, 2) + number(8, 4) + number(2, 2);
+  block += number(271, 2) + number(2, 2) + number(4, 4) + std::string("abc\0", 4);
+  block += number(274, 2) + number(3, 2) + number(1, 4) + number(orientation, 2) + number(0, 2);
+  return block + number(0, 4);
+}
+
+TEST(Jpeg, AnOrientationTagIsNotedAndPixelsStay) {
+  const ScratchFolder folder;
+  const fs::path plain = folder.path() / "plain.jpg", turned = folder.path() / "turned.jpg";
+  make_jpeg(plain, 24, 16, 3, false);
+  for (const bool big : {false, true}) {
+    make_jpeg(turned, 24, 16, 3, false, 95, exif_block(big, 6));
+    const ImageSource image(turned);
+    ASSERT_EQ(image.info().notes.size(), 1u) << big;
+    EXPECT_NE(image.info().notes[0].find("orientation tag (6)"), std::string::npos) << image.info().notes[0];
+    EXPECT_EQ(read_image(turned).values, read_image(plain).values);
+    make_jpeg(turned, 24, 16, 3, false, 95, exif_block(big, 1));
+    EXPECT_TRUE(ImageSource(turned).info().notes.empty());
+  }
+  for (std::size_t bytes = 0; bytes < exif_block(true, 6).size(); ++bytes) {   // cut anywhere
+    make_jpeg(turned, 24, 16, 3, false, 95, exif_block(true, 6).substr(0, bytes));
+    EXPECT_EQ(read_image(turned).values.size(), 24u * 16 * 3);
+  }
+}
+
+TEST(Tiff, AnOrientationTagIsNoted) {
+  const ScratchFolder folder;
+  TiffSpec spec;
+  make_tiff(folder.path() / "plain.tif", spec);
+  EXPECT_TRUE(ImageSource(folder.path() / "plain.tif").info().notes.empty());
+  spec.orientation = ORIENTATION_BOTRIGHT;
+  make_tiff(folder.path() / "turned.tif", spec);
+  const ImageSource image(folder.path() / "turned.tif");
+  ASSERT_EQ(image.info().notes.size(), 1u);
+  EXPECT_NE(image.info().notes[0].find("orientation tag (3)"), std::string::npos) << image.info().notes[0];
 }
 
 TEST(Image, TypeComesFromTheContent) {

@@ -110,6 +110,27 @@ TEST(RoughNormals, NoiseAloneIsNotTakenForRelief) {
   }
 }
 
+// Level ground with a step of one and a half spacings: what lies on the other level is turned alike, but lies off the plane.
+TEST(RoughNormals, AStepDoesNotTiltTheGroundBesideIt) {
+  MemoryCloud cloud;
+  constexpr std::size_t kCount = 20000;
+  constexpr double kApart = 0.00707, kStep = 1.5 * kApart;   // of so many points on a square of one
+  for (std::uint64_t i = 0; i < kCount; ++i) {
+    const double x = uniform(i, 0), y = uniform(i, 1);
+    cloud.position.push_back({x, y, (x > 0.5 ? kStep : 0) + 0.02 * kApart * normal01(7, Purpose::kTest, i, 4)});
+  }
+  const std::vector<Vec3f> normals = normals_of(cloud, 65536);
+  double sum = 0;
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < kCount; ++i) {
+    if (std::abs(cloud.position[i].x() - 0.5) > 2 * kApart) continue;
+    sum += degrees_between(normals[i], Vec3f::UnitZ());
+    ++count;
+  }
+  std::printf("within two spacings of a step: mean error %.2f degrees\n", sum / static_cast<double>(count));
+  EXPECT_LT(sum / static_cast<double>(count), 11);   // 12.1 if the other level is not left out
+}
+
 TEST(RoughNormals, ChunkBordersLeaveNoTrace) {
   const MemoryCloud cloud = noisy_box(0.1);
   const std::vector<Vec3f> many = normals_of(cloud, 1024), few = normals_of(cloud, 65536);

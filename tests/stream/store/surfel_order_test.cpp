@@ -52,11 +52,12 @@ double mean_area(const std::vector<StoredPosition>& positions, const std::vector
   return sum;
 }
 
+/// As stores have them: what pads the last block repeats the last position.
 std::vector<SurfelBlock> blocks_of(const std::vector<StoredPosition>& positions, const std::vector<std::uint16_t>& order) {
   std::vector<SurfelBlock> blocks((order.size() + 15) / 16);
-  for (std::size_t slot = 0; slot < order.size(); ++slot) {
+  for (std::size_t slot = 0; slot < 16 * blocks.size(); ++slot) {
     SurfelBlock& b = blocks[slot / 16];
-    const StoredPosition& p = positions[order[slot]];
+    const StoredPosition& p = positions[order[std::min(slot, order.size() - 1)]];
     b.x[slot % 16] = p[0];
     b.y[slot % 16] = p[1];
     b.z[slot % 16] = p[2];
