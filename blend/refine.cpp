@@ -138,7 +138,7 @@ class Refiner {
           const stream::Chunk chunk = store_.read_chunk(i);
           return stream::make_halo_chunk(i, chunk.frame, chunk.blocks, chunk.count, true);
         },
-        [&](std::uint32_t i) { return HaloChunk::bytes_for(store_.chunks()[i].count); });
+        [&](std::uint32_t i) { return HaloChunk::bytes_for(store_.chunks()[i].count); }, workers * stream::HaloCache::kLeavesOfWorker * HaloChunk::bytes_for(largest_));
     report_.begin(title, slices_.size(), "parts");
     for (std::size_t first = 0; first < slices_.size(); first += workers) {
       report_.check();

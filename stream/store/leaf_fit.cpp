@@ -17,8 +17,6 @@ namespace {
 
 // What is further than this many typical spacings is no neighbour, so that outliers stay alone.
 constexpr double kReachSpacings = 256;
-// Leaves that are kept for each worker: those around the one it is at, and those that it comes back to on its way in Morton order. More bring nothing.
-constexpr std::uint64_t kKeptLeaves = 24;
 // Radii need the points beyond the corners of a Voronoi cell, to tell a gap in the sampling from a border. Measured on random samples of a sphere and a
 // square: 2.8 leaves 2 rays in 10 000 without a disc, 3.4 none in 100 000; discs reach 0.6 spacings over the border in both.
 constexpr double kRadiusSpacings = 3.4;
@@ -73,7 +71,7 @@ void for_each_leaf(const FitJob& job, const char* stage, Look look, MemoryBudget
   const BudgetLease lease(budget, per_worker * workers, "fitting of surfels");
   HaloCache cache(
       budget, [&](std::uint32_t i) { return make_halo_chunk(i, frame_of(job.manifest, job.entries[i]), read_as(job, job.entries[i], look), job.entries[i].count, look != Look::kPositions); },
-      [&](std::uint32_t i) { return HaloChunk::bytes_for(job.entries[i].count); }, workers * kKeptLeaves * HaloChunk::bytes_for(static_cast<std::uint32_t>(largest)));
+      [&](std::uint32_t i) { return HaloChunk::bytes_for(job.entries[i].count); }, workers * HaloCache::kLeavesOfWorker * HaloChunk::bytes_for(static_cast<std::uint32_t>(largest)));
   const Neighbourhood::Find find = [&](const Box3d& box) { return find_leaves(job, box); };
   report.begin(stage, points, "points");
   std::atomic<std::size_t> next{0};

@@ -38,8 +38,11 @@ std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const Chun
 class HaloCache {
  public:
   using Load = std::function<std::shared_ptr<const HaloChunk>(std::uint32_t chunk)>;
-  /// bytes_of: cost of a chunk, known before it is loaded.
-  HaloCache(MemoryBudget& budget, Load load, std::function<std::uint64_t(std::uint32_t)> bytes_of, std::uint64_t most_bytes = ~std::uint64_t{0})
+  /// Leaves worth keeping for each worker that goes through a cloud in Morton order: those around the one it is at, and those that it comes back to. More bring
+  /// nothing (docs/scale.md).
+  static constexpr std::uint64_t kLeavesOfWorker = 24;
+  /// bytes_of: cost of a chunk, known before it is loaded. most_bytes: of what is kept, whatever the budget has left.
+  HaloCache(MemoryBudget& budget, Load load, std::function<std::uint64_t(std::uint32_t)> bytes_of, std::uint64_t most_bytes)
       : budget_(budget), most_bytes_(most_bytes), load_(std::move(load)), bytes_of_(std::move(bytes_of)) {}
   std::shared_ptr<const HaloChunk> get(std::uint32_t chunk);
 
