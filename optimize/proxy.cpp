@@ -38,6 +38,13 @@ Proxy load_proxy(const stream::Store& store, const surfels::WorkingSet& cut) {
   return proxy;
 }
 
+surfels::Tracer make_tracer(const stream::Store& store, const Proxy& proxy, MemoryBudget& budget) {
+  surfels::Tracer tracer(proxy.origin_in_world, budget);
+  for (const std::uint32_t c : proxy.chunks) tracer.add(store.read_chunk(c));
+  tracer.commit();
+  return tracer;
+}
+
 void orient(Proxy& proxy, std::span<const float> votes, const NearestPoints& nearest) {
   std::vector<std::uint32_t> open;
   for (std::size_t i = 0; i < proxy.size(); ++i) {

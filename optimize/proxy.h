@@ -27,6 +27,8 @@ struct Proxy {
 };
 
 Proxy load_proxy(const stream::Store& store, const surfels::WorkingSet& cut);
+/// For rays from and to the proxy's surfels, in its frame.
+surfels::Tracer make_tracer(const stream::Store& store, const Proxy& proxy, MemoryBudget& budget);
 
 /// Settles the signs of normals: votes[i] > 0 keeps, < 0 flips (cameras that see the surfel); the rest follows its neighbours, outwards.
 void orient(Proxy& proxy, std::span<const float> votes, const NearestPoints& nearest);
