@@ -11,6 +11,9 @@ constexpr double kDetailSteps = 8192;   // as a vote's detail
 /// Photographs of rendered scenes with exact cameras come out at 0.1 px or less, near ones with relief in flash light at 0.4.
 constexpr float kLeastShiftPx = 0.5f;
 
+/// Of the cells that show what others show too: what a smaller part says, such as a grazing rim that two neighbours see as well, does not hold for the picture.
+constexpr double kLeastCompared = 0.1;
+
 std::int64_t quantised(float detail) { return std::lround(std::clamp(static_cast<double>(detail) * kDetailSteps, -32767.0, 32767.0)); }
 
 /// Median of what the other members say; nullopt if there are fewer than two, as then nobody knows which one is shifted.
@@ -207,6 +210,7 @@ InspectionCounts::InspectionCounts(int width_, int height_) : width(width_), hei
   cells_y = (height + cell_px - 1) / cell_px;
   judged.resize(static_cast<std::size_t>(cells_x) * static_cast<std::size_t>(cells_y));
   outvoted.resize(judged.size());
+  compared.resize(judged.size());
 }
 
 void InspectionCounts::merge(const InspectionCounts& other) {
@@ -214,6 +218,7 @@ void InspectionCounts::merge(const InspectionCounts& other) {
   for (std::size_t i = 0; i < judged.size(); ++i) {
     judged[i] += other.judged[i];
     outvoted[i] += other.outvoted[i];
+    compared[i] += other.compared[i];
   }
 }
 
@@ -236,6 +241,7 @@ void inspect_reading(const Ballot& ballot, const Majority& majority, std::uint16
   const int px = std::clamp(static_cast<int>(3 * pixel.x() / counts.width), 0, 2), py = std::clamp(static_cast<int>(3 * pixel.y() / counts.height), 0, 2);
   ShiftCounts& s = counts.parts[static_cast<std::size_t>(3 * py + px)];
   ++s.n;
+  ++counts.compared[cell];
   s.r += *reference;
   s.rr += *reference * *reference;
   for (std::size_t i = 0; i < details.size(); ++i) {
@@ -252,7 +258,12 @@ Inspection conclude(const InspectionCounts& counts) {
   for (const ShiftCounts& part : counts.parts) whole.merge(part);
   result.shift_readings = static_cast<std::uint64_t>(whole.n);
   // Detail is as fine as a cell, or finer, and errors hardly reach beyond one.
-  const auto independent = static_cast<double>(std::count_if(counts.judged.begin(), counts.judged.end(), [](std::uint32_t n) { return n > 0; }));
+  const auto cells = [](const std::vector<std::uint32_t>& readings) { return static_cast<double>(std::count_if(readings.begin(), readings.end(), [](std::uint32_t n) { return n > 0; })); };
+  const double independent = cells(counts.compared);
+  if (independent < kLeastCompared * cells(counts.judged)) {
+    result.disturbed = largest_disturbed(counts);
+    return result;
+  }
   if (const auto shift = best_shift(whole, independent)) {
     result.correlation = shift->correlation;
     result.shift_sd_px = shift->sd_px;

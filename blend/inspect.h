@@ -31,7 +31,7 @@ struct InspectionCounts {
   std::size_t cell(const Vec2d& pixel) const;
   int width = 0, height = 0, cell_px = 16, cells_x = 0, cells_y = 0;
   std::array<ShiftCounts, 9> parts;
-  std::vector<std::uint32_t> judged, outvoted;   ///< by cell: readings where there is a majority, and those it contradicts
+  std::vector<std::uint32_t> judged, outvoted, compared;   ///< by cell: readings where there is a majority, those it contradicts, and those whose detail was compared (two others show it)
 };
 
 /// One surfel that this photograph sees at `pixel` and that has a majority. log_low: its reading, gain applied.

@@ -69,6 +69,28 @@ TEST(Inspect, OneShiftedPhotographAmongTheOthersIsNotTakenForTheTruth) {
   EXPECT_LT(i.shift_px->norm(), 0.3f);
 }
 
+/// Three photographs overlap on a strip, elsewhere there is one other: what the strip says holds for the picture only where it is a good part of it.
+TEST(Inspect, ANarrowStripDoesNotMoveThePicture) {
+  const PhotoWindow window = window_of(2, 1);
+  const std::vector<Vec3f> no_gains(4, Vec3f::Zero());
+  for (const double share : {0.06, 0.3}) {
+    InspectionCounts counts(kWidth, kHeight);
+    for (std::uint64_t i = 0; i < 8000; ++i) {
+      const auto u = uniform01x4(22, Purpose::kTest, i, 0);
+      const Vec2d pixel(static_cast<double>(u[0]) * kWidth, static_cast<double>(u[1]) * kHeight);
+      const bool strip = pixel.x() < share * kWidth && (share > 0.1 || pixel.y() < kHeight / 2.0);
+      Ballot ballot;
+      for (std::uint16_t k = 0; k < (strip ? 4 : 2); ++k) cast_vote(ballot, k, {1, 0.01f, 0, Vec3f::Constant(0.5f), Vec3f::Constant(0.5f * detail(pixel.x(), pixel.y()))}, 0.5f);
+      const auto majority = majority_of(ballot, no_gains, 0.05f);
+      ASSERT_TRUE(majority);
+      inspect_reading(ballot, *majority, 0, log_value(Vec3f::Constant(0.5f), 0.5f), 0.05f, pixel, window, counts);
+    }
+    const Inspection found = conclude(counts);
+    EXPECT_EQ(found.shift_px.has_value(), share > 0.1) << share;
+    if (found.shift_px) EXPECT_NEAR((*found.shift_px - Vec2f(2, 1)).norm(), 0, 0.15f);
+  }
+}
+
 TEST(Inspect, SurfacesWithoutDetailHaveNoShift) {
   PhotoWindow flat = window_of(0, 0);
   for (WindowPixel& p : flat.pixels) p.high.setZero();
