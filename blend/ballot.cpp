@@ -62,6 +62,12 @@ void cast_vote(Ballot& ballot, std::uint16_t photograph, const Sample& sample, f
   at->detail = static_cast<std::int16_t>(std::lround(std::clamp(detail * kDetailSteps, -32767.0f, 32767.0f)));
 }
 
+float least_weight(const Ballot& ballot) {
+  std::uint16_t least = 65535;
+  for (const Vote& v : ballot.votes) least = std::min(least, v.weight);
+  return least < 2 ? 0 : std::exp2(static_cast<float>(least - 1) / kWeightSteps + kLeastLog2Weight);   // a step below: codes are rounded
+}
+
 Withdrawal withdraw_vote(Ballot& ballot, std::uint16_t photograph) {
   const bool was_full = ballot.votes.back().weight != 0;
   const auto kept = std::remove_if(ballot.votes.begin(), ballot.votes.end(), [&](const Vote& v) { return v.weight != 0 && v.photograph == photograph; });

@@ -40,6 +40,8 @@ static_assert(sizeof(Ballot) == 96);
 /// Enters a reading if its weight is among the eight largest; of equal ones those of the first photographs stay. Votes lie in the order of photographs,
 /// so a ballot has the same bits in whatever order they were cast.
 void cast_vote(Ballot& ballot, std::uint16_t photograph, const Sample& sample, float brightness);
+/// A reading of less weight is no vote of this ballot any more.
+float least_weight(const Ballot& ballot);
 /// Takes a photograph's votes away. What they had displaced is not known any more: `is_whole` tells whether there was nothing.
 struct Withdrawal {
   bool had_voted = false, is_whole = true;

@@ -153,10 +153,19 @@ class Blender {
     for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, photographs_[order_[view.photograph]]->camera, Vec2f::Zero()));
     auto record = votes_->read<Ballot>(v.leaf);
     bool any = false;
-    for_readings(store_.read_chunk(store_.leaves()[v.leaf]), readers, [&](std::uint32_t slot, std::size_t i, const Sample& sample) {
-      cast_vote(record.surfels[slot], static_cast<std::uint16_t>(order_[v.views[i].photograph]), sample, scale_.brightness);
-      any = true;
-    });
+    std::vector<float> least;   // weights that count, by surfel
+    for (const Ballot& ballot : record.surfels) least.push_back(least_weight(ballot));
+    for_readings(
+        store_.read_chunk(store_.leaves()[v.leaf]), readers,
+        [&](std::uint32_t slot, std::size_t i, const Sample& sample) {
+          cast_vote(record.surfels[slot], static_cast<std::uint16_t>(order_[v.views[i].photograph]), sample, scale_.brightness);
+          least[slot] = least_weight(record.surfels[slot]);
+          any = true;
+        },
+        [&](std::uint32_t slot, std::size_t, float weight) {
+          any = true;   // it may be read, be it among the votes or not
+          return weight >= least[slot];
+        });
     if (any) votes_->write(v.leaf, v.reached(), record);
   }
 
@@ -295,8 +304,9 @@ class Blender {
     for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, photographs_[view.photograph]->camera, alignments_[view.photograph].shift_px));
     auto record = sums_->read<Accumulator>(v.leaf);
     const auto ballots = votes_ && options_.reject ? votes_->read<Ballot>(v.leaf) : LeafRecord<Ballot>{};
-    std::uint32_t judged = 0xffffffffu;   // the surfel that `majority` is of
-    std::optional<Majority> majority;
+    std::array<std::optional<Majority>, kSurfelsTogether> majorities;   // of surfels that readings come from together
+    std::array<std::uint32_t, kSurfelsTogether> judged;                 // which surfels they are of
+    judged.fill(0xffffffffu);
     bool any = false;
     for_readings(store_.read_chunk(store_.leaves()[v.leaf]), readers, [&](std::uint32_t slot, std::size_t i, Sample s) {
       const std::uint32_t k = v.views[i].photograph;
@@ -304,9 +314,10 @@ class Blender {
       s.low = s.low.cwiseProduct(gain);
       s.high = s.high.cwiseProduct(gain);
       for (Vec3f& mean : s.wider) mean = mean.cwiseProduct(gain);
-      if (!ballots.surfels.empty() && judged != slot) {
+      std::optional<Majority>& majority = majorities[slot % kSurfelsTogether];
+      if (!ballots.surfels.empty() && judged[slot % kSurfelsTogether] != slot) {
         majority = majority_of(ballots.surfels[slot], agreement_.log_gain, tolerance_);
-        judged = slot;
+        judged[slot % kSurfelsTogether] = slot;
       }
       const float share = majority ? agreement_weight(*majority, log_value(s.low, scale_.brightness), tolerance_) : 1;
       Accumulator& sum = record.surfels[slot];
@@ -330,6 +341,7 @@ class Blender {
     const auto resolved = [&](const LeafRecord<Accumulator>& record) { return resolve_leaf(record, static_cast<float>(options_.shared_sigma)); };
     const LeafDenoiser denoiser(store_, scale_.brightness, [&](std::size_t i) { return resolved(sums_->read<Accumulator>(i)); });
     const bool denoises = options_.denoise && scale_.brightness > 0;
+    std::vector<std::atomic<std::uint64_t>> counters(2 * photographs_.size());   // whole numbers: the order does not matter
     report_.begin(denoises ? "blend: denoise and write" : "blend: write", leaves.size(), "chunks");
     std::atomic<std::uint64_t> done{0};
     walk_.for_leaves(leaves.size(), (denoises ? LeafDenoiser::bytes_per_surfel() : sizeof(Accumulator)) + 2 * (sum_bytes() - sizeof(Accumulator)), [&](std::size_t i) {
@@ -339,6 +351,7 @@ class Blender {
       if (denoises) denoiser.denoise(i, values);
       leaves[i] = write_leaf(writer, store_.leaves()[i], record, values);
       leaves[i].denoising = compared(before, values);
+      for (std::size_t k = 0; k < counters.size(); ++k) counters[k] += record.counters[k];
       report_.progress(++done);
     });
     report_.end();
@@ -349,13 +362,11 @@ class Blender {
       stats.points += leaves[leaf].points;
       stats.points_seen += leaves[leaf].points_seen;
       stats.points_disputed += leaves[leaf].points_disputed;
-      for (std::size_t k = 0; k < leaves[leaf].counters.size(); ++k) {
-        PhotographStats& p = stats.photographs[callers_index_[k % photographs_.size()]];
-        (k < photographs_.size() ? p.samples : p.rejected) += leaves[leaf].counters[k];
-      }
     }
     for (std::size_t k = 0; k < photographs_.size(); ++k) {
       PhotographStats& p = stats.photographs[callers_index_[k]];
+      p.samples = counters[k];
+      p.rejected = counters[photographs_.size() + k];
       for (int c = 0; c < 3; ++c) p.gain[static_cast<std::size_t>(c)] = std::exp(static_cast<double>(agreement_.log_gain[k][c]));
       p.inspection = inspections_[k];
       p.alignment = alignments_[k];

@@ -1,5 +1,6 @@
 #include "blend/second_look.h"
 
+#include <algorithm>
 #include <cmath>
 #include <mutex>
 #include <optional>
@@ -45,14 +46,15 @@ Alignment SecondLook::align(std::uint32_t photograph, Inspection& found) const {
   return alignment;
 }
 
-// Of surfels enough of them. A majority does not depend on who is inspected: it is found once for all.
+// Of surfels enough of them, which is less where few pixels show all of them. A majority does not depend on who is inspected: it is found once for all.
 void SecondLook::inspect_leaf(const PhotoWalk::Visit& v, const Vec2f& shift_px, std::vector<InspectionCounts>& counts) const {
-  constexpr std::uint64_t kMostSurfels = 1 << 17;
+  constexpr std::uint64_t kMostSurfels = 1 << 17, kSurfelsAPixel = 16;
   std::vector<SurfelReader> readers;
   std::vector<std::uint32_t> step;
   for (const PhotoWalk::View& view : v.views) {
     readers.push_back(reader_of(view, photographs[view.photograph]->camera, shift_px));
-    step.push_back(1 + static_cast<std::uint32_t>(view.surfels_in_view / kMostSurfels));
+    const std::uint64_t pixels = static_cast<std::uint64_t>(view.window->width) * static_cast<std::uint64_t>(photographs[view.photograph]->camera.lens.height_px);
+    step.push_back(1 + static_cast<std::uint32_t>(view.surfels_in_view / std::min(kMostSurfels, kSurfelsAPixel * pixels)));
   }
   const stream::Chunk chunk = store.read_chunk(store.leaves()[v.leaf]);
   const auto ballots = votes.read<Ballot>(v.leaf);
@@ -66,14 +68,14 @@ void SecondLook::inspect_leaf(const PhotoWalk::Visit& v, const Vec2f& shift_px, 
         if (!majority) break;
         surfel = chunk.surfel(slot);
       }
-      const auto pixel = readers[i].project(*surfel);
-      if (!pixel) continue;
-      const auto sample = readers[i].read(*surfel, *pixel);
+      const auto seen = readers[i].before(*surfel);
+      if (!seen) continue;
+      const auto sample = readers[i].read(*seen, readers[i].around(*seen));
       if (!sample) continue;
       const std::uint32_t k = v.views[i].photograph;
       const Vec3f gain = agreement.log_gain[k].array().exp();
       inspect_reading(ballots.surfels[slot], *majority, static_cast<std::uint16_t>(k), log_value(sample->low.cwiseProduct(gain), brightness), tolerance,
-                      *pixel + shift_px.cast<double>(), *v.views[i].window, counts[i]);
+                      seen->pixel + shift_px.cast<double>(), *v.views[i].window, counts[i]);
     }
   }
 }
