@@ -120,6 +120,12 @@ std::optional<Majority> majority_of(const Ballot& ballot, std::span<const Vec3f>
   return result;
 }
 
+std::size_t Tolerance::class_of(float weight, float least_vote) {
+  if (!(weight < least_vote)) return 0;
+  const auto octaves = static_cast<std::size_t>(std::ilogb(least_vote / weight));
+  return std::min(kClasses - 1, 1 + octaves / kOctaves);
+}
+
 float agreement_weight(const Majority& majority, const Vec3f& log_low, float tolerance) {
   return smooth_ramp(2 - distance(log_low, majority.log_low) / tolerance, 1);
 }

@@ -32,6 +32,7 @@ class OctaveHistogram {
  public:
   void add(float value);
   void merge(const OctaveHistogram& other);
+  std::uint64_t count() const;
   /// Centre of the median's step; 0 if nothing was counted.
   float median() const;
   /// Lower end of the lowest step that holds something; 0 if none does.

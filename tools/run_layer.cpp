@@ -33,7 +33,7 @@ class LayerStages {
   void blend(const stream::Store& store) {
     std::vector<blend::BlendPhotograph> photographs;
     blend::BlendOptions options;
-    Hasher h = keyed("blend 8");
+    Hasher h = keyed("blend 9");
     h.add(store.manifest().key);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {
