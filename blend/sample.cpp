@@ -45,12 +45,12 @@ Four load(const void* from) {
 
 /// Columns from rows.
 void transpose(Four& a, Four& b, Four& c, Four& d) {
-  const Four ab = __builtin_shuffle(a, b, FourLanes{0, 4, 1, 5}), cd = __builtin_shuffle(c, d, FourLanes{0, 4, 1, 5});
-  const Four ab2 = __builtin_shuffle(a, b, FourLanes{2, 6, 3, 7}), cd2 = __builtin_shuffle(c, d, FourLanes{2, 6, 3, 7});
-  a = __builtin_shuffle(ab, cd, FourLanes{0, 1, 4, 5});
-  b = __builtin_shuffle(ab, cd, FourLanes{2, 3, 6, 7});
-  c = __builtin_shuffle(ab2, cd2, FourLanes{0, 1, 4, 5});
-  d = __builtin_shuffle(ab2, cd2, FourLanes{2, 3, 6, 7});
+  const Four ab = __builtin_shufflevector(a, b, 0, 4, 1, 5), cd = __builtin_shufflevector(c, d, 0, 4, 1, 5);
+  const Four ab2 = __builtin_shufflevector(a, b, 2, 6, 3, 7), cd2 = __builtin_shufflevector(c, d, 2, 6, 3, 7);
+  a = __builtin_shufflevector(ab, cd, 0, 1, 4, 5);
+  b = __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
+  c = __builtin_shufflevector(ab2, cd2, 0, 1, 4, 5);
+  d = __builtin_shufflevector(ab2, cd2, 2, 3, 6, 7);
 }
 
 /// A pixel's numbers in fours, as they lie there; what is not read shows nothing.
