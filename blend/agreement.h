@@ -30,5 +30,8 @@ Agreement find_agreement(std::span<const ReadingPair> pairs, std::size_t num_pho
 
 /// How far readings of one surface may lie apart: wide enough for what photographs of the same thing differ by.
 float tolerance_for(float scatter);
+/// photographs: a sample of them; the first class is not asked. Of a class the middle reading counts, each photograph's taken for its median: half of them may be of something
+/// else. A lighter class is allowed as much as a heavier one at least.
+Tolerance tolerance_by_class(float of_votes, std::span<const ReadingDistances> photographs);
 
 }  // namespace chiaro::blend

@@ -62,6 +62,12 @@ void cast_vote(Ballot& ballot, std::uint16_t photograph, const Sample& sample, f
   at->detail = static_cast<std::int16_t>(std::lround(std::clamp(detail * kDetailSteps, -32767.0f, 32767.0f)));
 }
 
+float least_weight(const Ballot& ballot) {
+  std::uint16_t least = 65535;
+  for (const Vote& v : ballot.votes) least = std::min(least, v.weight);
+  return least < 2 ? 0 : std::exp2(static_cast<float>(least - 1) / kWeightSteps + kLeastLog2Weight);   // a step below: codes are rounded
+}
+
 Withdrawal withdraw_vote(Ballot& ballot, std::uint16_t photograph) {
   const bool was_full = ballot.votes.back().weight != 0;
   const auto kept = std::remove_if(ballot.votes.begin(), ballot.votes.end(), [&](const Vote& v) { return v.weight != 0 && v.photograph == photograph; });
@@ -112,6 +118,12 @@ std::optional<Majority> majority_of(const Ballot& ballot, std::span<const Vec3f>
   if (count < 2 || !(members > kMoreThanHalf * all)) return std::nullopt;
   result.log_low /= members;
   return result;
+}
+
+std::size_t Tolerance::class_of(float weight, float least_vote) {
+  if (!(weight < least_vote)) return 0;
+  const auto octaves = static_cast<std::size_t>(std::ilogb(least_vote / weight));
+  return std::min(kClasses - 1, 1 + octaves / kOctaves);
 }
 
 float agreement_weight(const Majority& majority, const Vec3f& log_low, float tolerance) {

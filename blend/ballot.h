@@ -40,6 +40,8 @@ static_assert(sizeof(Ballot) == 96);
 /// Enters a reading if its weight is among the eight largest; of equal ones those of the first photographs stay. Votes lie in the order of photographs,
 /// so a ballot has the same bits in whatever order they were cast.
 void cast_vote(Ballot& ballot, std::uint16_t photograph, const Sample& sample, float brightness);
+/// A reading of less weight is no vote of this ballot; 0 while there is room for one.
+float least_weight(const Ballot& ballot);
 /// Takes a photograph's votes away. What they had displaced is not known any more: `is_whole` tells whether there was nothing.
 struct Withdrawal {
   bool had_voted = false, is_whole = true;
@@ -55,6 +57,25 @@ struct Majority {
 /// largest has less than a whole vote.
 /// log_gains: by photograph; added to what it says.
 std::optional<Majority> majority_of(const Ballot& ballot, std::span<const Vec3f> log_gains, float tolerance);
+
+/// How far a reading may lie from the majority and still be of the same surface, by its weight beside the votes'. Where more photographs see a surfel than have a vote, the
+/// votes are those of its nearest neighbours in the best places, and alike even in what they have wrong; others are coarser, or see it aslant with another part of
+/// what surrounds it, and differ legitimately by more.
+struct Tolerance {
+  static constexpr std::size_t kClasses = 5;
+  static constexpr int kOctaves = 4;
+  std::array<float, kClasses> by_class{};   ///< [0]: votes, and what weighs as much; then one for each kOctaves of weight below the least vote
+  float of_votes() const { return by_class[0]; }
+  /// least_vote: least_weight() of the ballot.
+  static std::size_t class_of(float weight, float least_vote);
+  float of(float weight, float least_vote) const { return by_class[class_of(weight, least_vote)]; }
+  bool operator==(const Tolerance&) const = default;
+};
+/// How far the readings of a photograph lie from the majorities, by class of Tolerance.
+struct ReadingDistances {
+  std::array<float, Tolerance::kClasses> median{};
+  std::array<std::uint32_t, Tolerance::kClasses> readings{};
+};
 
 /// Share of a reading's weight that is left to it: 1 within `tolerance` of the majority, 0 from twice that on, smooth between.
 float agreement_weight(const Majority& majority, const Vec3f& log_low, float tolerance);

@@ -4,8 +4,10 @@
 #include <atomic>
 #include <cmath>
 #include <cstring>
+#include <numeric>
 #include <optional>
 #include <stdexcept>
+#include <tuple>
 
 #include "blend/accumulate.h"
 #include "blend/agreement.h"
@@ -54,6 +56,7 @@ class Blender {
     collect_votes();
     compare_photographs();
     find_changed_leaves();
+    find_tolerance();
     inspect_photographs();
     sums_.emplace(scratch_ / kSumsFile, key_, shape_of_sums());
     take_over_sums();
@@ -76,6 +79,7 @@ class Blender {
 
   void add_known(Hasher& hash) const {
     hash.add(options_.known->scatter);
+    for (const float v : options_.known->tolerance.by_class) hash.add(static_cast<double>(v));
     for (const std::size_t i : callers_index_) {
       const Alignment& a = options_.known->alignment[i];
       for (const double gain : options_.known->gain[i]) hash.add(gain);
@@ -153,10 +157,19 @@ class Blender {
     for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, photographs_[order_[view.photograph]]->camera, Vec2f::Zero()));
     auto record = votes_->read<Ballot>(v.leaf);
     bool any = false;
-    for_readings(store_.read_chunk(store_.leaves()[v.leaf]), readers, [&](std::uint32_t slot, std::size_t i, const Sample& sample) {
-      cast_vote(record.surfels[slot], static_cast<std::uint16_t>(order_[v.views[i].photograph]), sample, scale_.brightness);
-      any = true;
-    });
+    std::vector<float> least;   // weights that count, by surfel
+    for (const Ballot& ballot : record.surfels) least.push_back(least_weight(ballot));
+    for_readings(
+        store_.read_chunk(store_.leaves()[v.leaf]), readers,
+        [&](std::uint32_t slot, std::size_t i, const Sample& sample) {
+          cast_vote(record.surfels[slot], static_cast<std::uint16_t>(order_[v.views[i].photograph]), sample, scale_.brightness);
+          least[slot] = least_weight(record.surfels[slot]);
+          any = true;
+        },
+        [&](std::uint32_t slot, std::size_t, float weight) {
+          any = true;   // it may be read, be it among the votes or not
+          return weight >= least[slot];
+        });
     if (any) votes_->write(v.leaf, v.reached(), record);
   }
 
@@ -174,7 +187,7 @@ class Blender {
   /// Leaves whose votes, or factors of brightness, are not those of the kept blend.
   void find_changed_leaves() {
     changed_.assign(store_.leaves().size(), 1);
-    if (!kept_ || kept_->state().tolerance != tolerance_) return;
+    if (!kept_ || kept_->state().tolerance.of_votes() != tolerance_.of_votes()) return;
     walk_.for_leaves(changed_.size(), 2 * sizeof(Ballot), [&](std::size_t i) {
       const KeptBlend::Votes known = kept_->votes(i);
       const auto now = votes_->read<Ballot>(i);
@@ -185,8 +198,28 @@ class Blender {
         for (std::size_t i = 0; i < changed_.size(); ++i) changed_[i] |= views_[k][i];
   }
 
-  /// What inspection found of a photograph stands while all that it was compared with does.
-  const PhotographState* known_inspection(std::uint32_t k) const {
+  /// How far readings without a vote may lie from the majority, by a sample of photographs that one more or less hardly changes. Where each has a vote there are none.
+  void find_tolerance() {
+    constexpr std::size_t kMostPhotographs = 64;
+    distances_.resize(num_photographs());
+    if (!votes_ || options_.known || num_photographs() <= kVotes) return;
+    std::vector<std::uint32_t> sample(num_photographs()), unknown;
+    std::iota(sample.begin(), sample.end(), 0u);
+    std::sort(sample.begin(), sample.end(), [&](std::uint32_t a, std::uint32_t b) { return std::tie(photograph_keys_[a], a) < std::tie(photograph_keys_[b], b); });
+    sample.resize(std::min(sample.size(), kMostPhotographs));
+    std::sort(sample.begin(), sample.end());
+    for (const std::uint32_t k : sample) {
+      if (const PhotographState* known = unchanged(k); known && known->distances.readings != ReadingDistances{}.readings) distances_[k] = known->distances;
+      else unknown.push_back(k);
+    }
+    const std::vector<ReadingDistances> found = second_look().distances(unknown);
+    for (std::size_t i = 0; i < found.size(); ++i) distances_[unknown[i]] = found[i];
+    tolerance_ = tolerance_by_class(tolerance_.of_votes(), distances_);
+    if (kept_ && kept_->state().tolerance != tolerance_) changed_.assign(changed_.size(), 1);
+  }
+
+  /// What was found of a photograph stands while all that it was compared with does.
+  const PhotographState* unchanged(std::uint32_t k) const {
     if (!kept_ || !kept_->state().inspected || !kept_->photograph(k)) return nullptr;
     for (std::size_t i = 0; i < changed_.size(); ++i)
       if (changed_[i] && views_[k][i]) return nullptr;
@@ -219,7 +252,7 @@ class Blender {
     make_folder(options_.keep);
     if (!votes_) return;   // one photograph alone: nothing to go on from
     BlendState state{options_key(store_, options_), votes_key_, key_, scale_.footprint, scale_.brightness, tolerance_, num_photographs() >= 3, {}};
-    for (std::uint32_t k = 0; k < num_photographs(); ++k) state.photographs.push_back({photograph_keys_[k], agreement_.log_gain[k], inspections_[k], alignments_[k]});
+    for (std::uint32_t k = 0; k < num_photographs(); ++k) state.photographs.push_back({photograph_keys_[k], agreement_.log_gain[k], distances_[k], inspections_[k], alignments_[k]});
     votes_.reset();
     sums_.reset();
     kept_.reset();
@@ -233,7 +266,7 @@ class Blender {
       for (std::uint32_t k = 0; k < num_photographs(); ++k)
         for (int c = 0; c < 3; ++c) agreement_.log_gain[k][c] = static_cast<float>(std::log(options_.known->gain[callers_index_[k]][static_cast<std::size_t>(c)]));
       agreement_.scatter = static_cast<float>(options_.known->scatter);
-      tolerance_ = tolerance_for(agreement_.scatter);
+      tolerance_ = options_.known->tolerance;
     }
     if (!votes_ || options_.known) return;
     constexpr std::uint64_t kMostSurfels = 1 << 15;
@@ -251,8 +284,10 @@ class Blender {
       index += count;
     }
     agreement_ = find_agreement(pairs, num_photographs(), options_.gain);
-    tolerance_ = tolerance_for(agreement_.scatter);
+    tolerance_.by_class.fill(tolerance_for(agreement_.scatter));
   }
+
+  SecondLook second_look() { return {store_, photographs_, *votes_, walk_, agreement_, tolerance_, scale_.brightness, report_}; }
 
   /// Second look: where each photograph lies on the surface, and what in it disagrees.
   void inspect_photographs() {
@@ -264,14 +299,14 @@ class Blender {
     report_.begin("blend: inspect photographs", num_photographs(), "photographs");
     std::vector<std::uint32_t> unknown;
     for (std::uint32_t k = 0; k < num_photographs(); ++k) {
-      if (const PhotographState* known = known_inspection(k)) {
+      if (const PhotographState* known = unchanged(k)) {
         inspections_[k] = known->inspection;
         alignments_[k] = known->alignment;
       } else {
         unknown.push_back(k);
       }
     }
-    const SecondLook look{store_, photographs_, *votes_, walk_, agreement_, tolerance_, scale_.brightness, report_};
+    const SecondLook look = second_look();
     constexpr std::size_t kAtOnce = 128;   // 40 KB of counts each: memory does not grow with the photographs
     for (std::size_t first = 0; first < unknown.size(); first += kAtOnce) {
       const std::span<const std::uint32_t> some = std::span(unknown).subspan(first, std::min(kAtOnce, unknown.size() - first));
@@ -295,8 +330,10 @@ class Blender {
     for (const PhotoWalk::View& view : v.views) readers.push_back(reader_of(view, photographs_[view.photograph]->camera, alignments_[view.photograph].shift_px));
     auto record = sums_->read<Accumulator>(v.leaf);
     const auto ballots = votes_ && options_.reject ? votes_->read<Ballot>(v.leaf) : LeafRecord<Ballot>{};
-    std::uint32_t judged = 0xffffffffu;   // the surfel that `majority` is of
-    std::optional<Majority> majority;
+    std::array<std::optional<Majority>, kSurfelsTogether> majorities;   // of surfels that readings come from together
+    std::array<float, kSurfelsTogether> least{};                        // weights of their votes
+    std::array<std::uint32_t, kSurfelsTogether> judged;                 // which surfels they are of
+    judged.fill(0xffffffffu);
     bool any = false;
     for_readings(store_.read_chunk(store_.leaves()[v.leaf]), readers, [&](std::uint32_t slot, std::size_t i, Sample s) {
       const std::uint32_t k = v.views[i].photograph;
@@ -304,11 +341,14 @@ class Blender {
       s.low = s.low.cwiseProduct(gain);
       s.high = s.high.cwiseProduct(gain);
       for (Vec3f& mean : s.wider) mean = mean.cwiseProduct(gain);
-      if (!ballots.surfels.empty() && judged != slot) {
-        majority = majority_of(ballots.surfels[slot], agreement_.log_gain, tolerance_);
-        judged = slot;
+      const std::uint32_t place = slot % kSurfelsTogether;
+      if (!ballots.surfels.empty() && judged[place] != slot) {
+        majorities[place] = majority_of(ballots.surfels[slot], agreement_.log_gain, tolerance_.of_votes());
+        least[place] = least_weight(ballots.surfels[slot]);
+        judged[place] = slot;
       }
-      const float share = majority ? agreement_weight(*majority, log_value(s.low, scale_.brightness), tolerance_) : 1;
+      const auto& majority = majorities[place];
+      const float share = majority ? agreement_weight(*majority, log_value(s.low, scale_.brightness), tolerance_.of(s.weight, least[place])) : 1;
       Accumulator& sum = record.surfels[slot];
       any = true;
       if (share < 0.5f) {
@@ -330,6 +370,7 @@ class Blender {
     const auto resolved = [&](const LeafRecord<Accumulator>& record) { return resolve_leaf(record, static_cast<float>(options_.shared_sigma)); };
     const LeafDenoiser denoiser(store_, scale_.brightness, [&](std::size_t i) { return resolved(sums_->read<Accumulator>(i)); });
     const bool denoises = options_.denoise && scale_.brightness > 0;
+    std::vector<std::atomic<std::uint64_t>> counters(2 * photographs_.size());   // whole numbers: the order does not matter
     report_.begin(denoises ? "blend: denoise and write" : "blend: write", leaves.size(), "chunks");
     std::atomic<std::uint64_t> done{0};
     walk_.for_leaves(leaves.size(), (denoises ? LeafDenoiser::bytes_per_surfel() : sizeof(Accumulator)) + 2 * (sum_bytes() - sizeof(Accumulator)), [&](std::size_t i) {
@@ -339,6 +380,7 @@ class Blender {
       if (denoises) denoiser.denoise(i, values);
       leaves[i] = write_leaf(writer, store_.leaves()[i], record, values);
       leaves[i].denoising = compared(before, values);
+      for (std::size_t k = 0; k < counters.size(); ++k) counters[k] += record.counters[k];
       report_.progress(++done);
     });
     report_.end();
@@ -349,13 +391,11 @@ class Blender {
       stats.points += leaves[leaf].points;
       stats.points_seen += leaves[leaf].points_seen;
       stats.points_disputed += leaves[leaf].points_disputed;
-      for (std::size_t k = 0; k < leaves[leaf].counters.size(); ++k) {
-        PhotographStats& p = stats.photographs[callers_index_[k % photographs_.size()]];
-        (k < photographs_.size() ? p.samples : p.rejected) += leaves[leaf].counters[k];
-      }
     }
     for (std::size_t k = 0; k < photographs_.size(); ++k) {
       PhotographStats& p = stats.photographs[callers_index_[k]];
+      p.samples = counters[k];
+      p.rejected = counters[photographs_.size() + k];
       for (int c = 0; c < 3; ++c) p.gain[static_cast<std::size_t>(c)] = std::exp(static_cast<double>(agreement_.log_gain[k][c]));
       p.inspection = inspections_[k];
       p.alignment = alignments_[k];
@@ -363,6 +403,7 @@ class Blender {
       stats.samples += p.samples;
     }
     stats.scatter = static_cast<double>(agreement_.scatter);
+    stats.tolerance = tolerance_;
     stats.chunks_visited = walk_.chunks_visited() + votes_visited_;
     for (std::size_t i = 0; i < leaves.size(); ++i) stats.leaves += sums_->is_written(i);
     stats.leaves_kept = leaves_kept_;
@@ -395,7 +436,8 @@ class Blender {
   std::uint64_t scratch_bytes_ = 0, leaves_kept_ = 0, votes_visited_ = 0;
   std::optional<LeafFile> votes_, sums_;
   Agreement agreement_;
-  float tolerance_ = 0;
+  Tolerance tolerance_;
+  std::vector<ReadingDistances> distances_;
   std::vector<Inspection> inspections_;
   std::vector<Alignment> alignments_;
 };

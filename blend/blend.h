@@ -35,6 +35,7 @@ struct Findings {
   std::vector<std::array<double, 3>> gain;
   std::vector<Alignment> alignment;
   double scatter = 0;
+  Tolerance tolerance;
 };
 
 struct BlendOptions {
@@ -73,6 +74,7 @@ struct Denoising {
 struct BlendStats {
   std::uint64_t points = 0, points_seen = 0, points_disputed = 0, samples = 0, chunks_visited = 0;   ///< disputed: a reading was outvoted there
   double scatter = 0;              ///< median distance of two readings of a point, relative, largest channel
+  Tolerance tolerance;
   std::uint64_t leaves = 0, leaves_kept = 0;  ///< with readings; of these, taken over from the kept blend as they were
   std::uint64_t photographs_read = 0;         ///< whose pixels were needed
   std::uint64_t scratch_bytes = 0;            ///< most that the state takes on the disk

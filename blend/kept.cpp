@@ -12,14 +12,15 @@ namespace chiaro::blend {
 namespace {
 namespace fs = std::filesystem;
 
-constexpr char kMagic[8] = {'C', 'H', 'R', 'K', 'E', 'P', 'T', '2'};
+constexpr char kMagic[8] = {'C', 'H', 'R', 'K', 'E', 'P', 'T', '3'};
 constexpr const char *kStateFile = "state", *kVotesFile = "votes", *kSumsFile = "sums";
 constexpr std::size_t kKeyBytes = 32;
 
 struct StateHeader {
   char magic[8];
   char options_key[kKeyBytes], votes_key[kKeyBytes], sums_key[kKeyBytes];
-  float footprint, brightness, tolerance;
+  float footprint, brightness;
+  Tolerance tolerance;
   std::uint32_t inspected, photographs, crc;   // crc: of the records
 };
 struct PhotographRecord {
@@ -29,7 +30,8 @@ struct PhotographRecord {
   std::int32_t region[4];
   std::uint32_t has_shift, has_region;
   float sd, chance;
-  std::uint32_t reserved;
+  float distances[Tolerance::kClasses];
+  std::uint32_t distance_readings[Tolerance::kClasses];
   std::uint64_t readings, outvoted, judged;
 };
 static_assert(std::is_trivially_copyable_v<PhotographRecord>);
@@ -41,6 +43,8 @@ PhotographRecord record_of(const PhotographState& p) {
   PhotographRecord r{};
   put_key(r.key, p.key);
   for (int c = 0; c < 3; ++c) r.log_gain[c] = p.log_gain[c];
+  std::copy(p.distances.median.begin(), p.distances.median.end(), r.distances);
+  std::copy(p.distances.readings.begin(), p.distances.readings.end(), r.distance_readings);
   const Inspection& i = p.inspection;
   r.has_shift = i.shift_px.has_value();
   if (i.shift_px) r.found_shift[0] = i.shift_px->x(), r.found_shift[1] = i.shift_px->y();
@@ -64,6 +68,8 @@ PhotographState state_of(const PhotographRecord& r) {
   PhotographState p;
   p.key = key_of(r.key);
   p.log_gain = {r.log_gain[0], r.log_gain[1], r.log_gain[2]};
+  std::copy_n(r.distances, Tolerance::kClasses, p.distances.median.begin());
+  std::copy_n(r.distance_readings, Tolerance::kClasses, p.distances.readings.begin());
   if (r.has_shift) p.inspection.shift_px = Vec2f(r.found_shift[0], r.found_shift[1]);
   p.inspection.shift_spread_px = r.spread;
   p.inspection.shift_sd_px = r.sd;

@@ -23,13 +23,15 @@ namespace chiaro::blend {
 struct PhotographState {
   std::string key;               ///< photograph_key()
   Vec3f log_gain = Vec3f::Zero();
+  ReadingDistances distances;    ///< of those that were in the sample; of others no readings
   Inspection inspection;
   Alignment alignment;
 };
 
 struct BlendState {
   std::string options_key, votes_key, sums_key;
-  float footprint = 0, brightness = 0, tolerance = 0;
+  float footprint = 0, brightness = 0;
+  Tolerance tolerance;
   bool inspected = false;
   std::vector<PhotographState> photographs;   ///< in the order in which they were added
 };

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <numeric>
 
 #include "blend/view_weights.h"
 #include "stream/base/error.h"
@@ -199,6 +200,8 @@ void OctaveHistogram::add(float value) {
 void OctaveHistogram::merge(const OctaveHistogram& other) {
   for (std::size_t i = 0; i < counts_.size(); ++i) counts_[i] += other.counts_[i];
 }
+
+std::uint64_t OctaveHistogram::count() const { return std::accumulate(counts_.begin(), counts_.end(), std::uint64_t{0}); }
 
 float OctaveHistogram::median() const {
   std::uint64_t total = 0, below = 0;

@@ -32,6 +32,7 @@ class OctaveHistogram {
  public:
   void add(float value);
   void merge(const OctaveHistogram& other);
+  std::uint64_t count() const;
   /// Centre of the median's step; 0 if nothing was counted.
   float median() const;
   /// Lower end of the lowest step that holds something; 0 if none does.
@@ -55,12 +56,15 @@ struct WindowOptions {
   WeightScale scale() const { return {reference_footprint, border_px}; }
 };
 
-/// One pixel as the surfels read it. weight 0: not to be read.
-struct WindowPixel {
-  float depth = 0, footprint = 0, radius = 0;
+/// One pixel as the surfels read it: a cache line, taken four numbers at a time. weight 0: not to be read.
+struct alignas(64) WindowPixel {
+  float depth = 0, footprint = 0, radius = 0, weight = 0;
   Vec3f normal = Vec3f::Zero();
-  float weight = 0, sigma = 0, shared = 0;   ///< relative deviations: independent between photographs, and common to them
-  Vec3f low = Vec3f::Zero(), high = Vec3f::Zero();
+  float sigma = 0;    ///< relative deviation that is independent between photographs
+  Vec3f low = Vec3f::Zero();
+  float shared = 0;   ///< relative deviation that photographs have in common
+  Vec3f high = Vec3f::Zero();
+  float unused = 0;
 };
 
 struct PhotoWindow {

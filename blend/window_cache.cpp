@@ -5,6 +5,8 @@
 namespace chiaro::blend {
 namespace {
 
+constexpr std::size_t kMostKept = 32;
+
 struct Held {
   BudgetLease lease;
   PhotoWindow window;
@@ -25,7 +27,7 @@ std::shared_ptr<const PhotoWindow> WindowCache::whole(const BlendPhotograph& pho
   preparation.release();
   const auto whole = std::make_shared<Held>(Held{BudgetLease(budget_, bytes, what), std::move(window)});
   const std::shared_ptr<const PhotoWindow> result(whole, &whole->window);
-  if (kept_bytes_ + bytes <= most_kept_) {
+  if (kept_.size() < kMostKept && kept_bytes_ + bytes <= most_kept_) {
     kept_.emplace(&photograph, result);
     kept_bytes_ += bytes;
   }

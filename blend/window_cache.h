@@ -10,8 +10,8 @@
 
 namespace chiaro::blend {
 
-/// The first photographs that were asked for stay, as long as a quarter of what was free in the beginning holds them: walks come by in the same order every
-/// time, so that whatever else stayed would go before it is asked for again. One thread at a time.
+/// The first photographs that were asked for stay, as long as a quarter of what was free in the beginning holds them, and 32 of them at most: memory is the same for hundreds
+/// and thousands. Walks come by in the same order every time, so that whatever else stayed would go before it is asked for again. One thread at a time.
 class WindowCache {
  public:
   WindowCache(const WindowOptions& options, MemoryBudget& budget) : options_(options), budget_(budget), most_kept_(budget.free_bytes() / 4) {}

@@ -38,7 +38,7 @@ LeafStats write_leaf(stream::LayerWriter& writer, std::uint32_t chunk, const Lea
   std::byte* albedo = planar.data();
   std::byte* sigma = albedo + n * 3 * sizeof(float);
   std::byte* photos = sigma + n * sizeof(float);
-  LeafStats stats{n, 0, 0, record.counters, {}};
+  LeafStats stats{n, 0, 0, {}};
   for (std::size_t i = 0; i < n; ++i) {
     const BlendedSurfel& s = values[i];
     for (std::size_t c = 0; c < 3; ++c) std::memcpy(albedo + (c * n + i) * sizeof(float), s.albedo.data() + c, sizeof(float));

@@ -15,7 +15,6 @@ inline constexpr std::size_t kLayerBytes = 4 * sizeof(float) + sizeof(std::uint1
 
 struct LeafStats {
   std::uint64_t points = 0, points_seen = 0, points_disputed = 0;
-  std::vector<std::uint32_t> counters;   ///< those of the record
   Denoising denoising;
 };
 

@@ -52,7 +52,7 @@ std::string blend_record_json(const blend::BlendStats& stats, std::span<const bl
     denoising = {{"points", d->points}, {"points_changed", d->points_changed}, {"mean_sigma_before", d->sigma_before / n}, {"mean_sigma_after", d->sigma_after / n}};
   }
   const Json record{{"points", stats.points}, {"points_seen", stats.points_seen}, {"points_disputed", stats.points_disputed}, {"samples", stats.samples},
-                    {"scatter", stats.scatter}, {"leaves", stats.leaves}, {"leaves_kept", stats.leaves_kept}, {"photographs_read", stats.photographs_read}, {"scratch_bytes", stats.scratch_bytes},
+                    {"scatter", stats.scatter}, {"tolerance", stats.tolerance.by_class}, {"leaves", stats.leaves}, {"leaves_kept", stats.leaves_kept}, {"photographs_read", stats.photographs_read}, {"scratch_bytes", stats.scratch_bytes},
                     {"weights", {{"footprint", stats.window.reference_footprint}, {"low_radius", stats.window.low_radius}, {"border_px", stats.window.border_px}}},
                     {"denoising", denoising}, {"photographs", each}, {"notes", notes}};
   return record.dump();

@@ -141,33 +141,28 @@ double choose_white(const RunFolder& folder, const ReportData& data) {
   return white > 0 ? white : 1;
 }
 
-void measure_all(const RunFolder& folder, ReportData& data, Reporter& report) {
+PictureRanges measure_all(const RunFolder& folder, ReportData& data, Reporter& report) {
+  PictureRanges ranges;
   report.begin("report: measure", data.photographs.size(), "photographs");
   std::uint64_t done = 0;
   for (ReportedPhotograph& p : data.photographs) {
     ReportPhoto photo(folder, p.key, data.solved_lights);
     p.width = photo.width();
     p.height = photo.height();
-    p.measures = measure(photo, data.scales.white, report);
+    p.measures = measure(photo, data.scales.white, ranges, report);
     report.progress(++done);
   }
   report.end();
+  return ranges;
 }
 
-void choose_scales(ReportData& data) {
-  LogHistogram difference, sigma, indirect, ambient;
-  for (const ReportedPhotograph& p : data.photographs) {
-    difference.add(p.measures.difference);
-    sigma.add(p.measures.sigma);
-    indirect.add(p.measures.indirect);
-    ambient.add(p.measures.ambient);
-  }
+void choose_scales(ReportData& data, const PictureRanges& ranges) {
   // The top saturates: a few edges must not darken the rest. What is the same everywhere may end just above a round number: 1 % of play.
   const auto range = [](const LogHistogram& h) { return std::min(1.0, round_range(h.quantile(0.96) * 0.99)); };
-  data.scales.difference = range(difference);
-  data.scales.sigma = range(sigma);
-  data.scales.indirect = range(indirect);
-  data.scales.ambient = range(ambient);
+  data.scales.difference = range(ranges.difference);
+  data.scales.sigma = range(ranges.sigma);
+  data.scales.indirect = range(ranges.indirect);
+  data.scales.ambient = range(ranges.ambient);
   if (!data.solved_lights) data.scales.albedo_white = data.scales.white;
 }
 
@@ -256,8 +251,7 @@ ReportResult write_report(const RunFolder& folder, Reporter& report, const Repor
   read_weights(folder, data);
   data.photographs = used_photographs(data, folder.project());
   data.scales.white = choose_white(folder, data);
-  measure_all(folder, data, report);
-  choose_scales(data);
+  choose_scales(data, measure_all(folder, data, report));
   const std::uint64_t text_bytes = report_html(data).size();
   const std::uint64_t left = options.max_bytes > text_bytes + 200'000 ? options.max_bytes - text_bytes - 200'000 : 0;
 

@@ -234,7 +234,7 @@ void add_likeness(const ReportPhoto::Band& band, int width, int first, int last,
 }
 
 void add_counts(const ReportPhoto::Band& band, const std::vector<float>& sigma, const std::vector<float>& light, int width, int first, int last, double white, PhotoMeasures& m,
-                Sums& sums) {
+                PictureRanges& ranges, Sums& sums) {
   const auto w = static_cast<std::size_t>(width);
   for (std::size_t i = static_cast<std::size_t>(first) * w; i < static_cast<std::size_t>(last) * w; ++i) {
     m.usable += band.usable[i];
@@ -242,11 +242,11 @@ void add_counts(const ReportPhoto::Band& band, const std::vector<float>& sigma, 
     m.solved += band.solved[i];
     m.predicted += band.predicted[i];
     if (band.solved[i]) {
-      if (sigma[i] > 0) m.sigma.add(sigma[i]);
+      if (sigma[i] > 0) ranges.sigma.add(sigma[i]);
       if (!light.empty()) {
         for (std::size_t c = 0; c < 3; ++c) sums.shares[c] += light[3 * i + c];
-        m.indirect.add(light[3 * i + 1]);
-        m.ambient.add(light[3 * i + 2]);
+        ranges.indirect.add(light[3 * i + 1]);
+        ranges.ambient.add(light[3 * i + 2]);
       }
     }
     if (!band.predicted[i]) continue;
@@ -257,7 +257,7 @@ void add_counts(const ReportPhoto::Band& band, const std::vector<float>& sigma, 
       sums.residual += left * left;
       sums.photo += value * value;
     }
-    m.difference.add(difference);
+    ranges.difference.add(difference);
   }
 }
 
@@ -265,10 +265,18 @@ double decibels(double mean_square) { return mean_square > 0 ? -10 * std::log10(
 
 }  // namespace
 
-PhotoMeasures measure(ReportPhoto& photo, double white, Reporter& report) {
+void PictureRanges::add(const PictureRanges& other) {
+  difference.add(other.difference);
+  sigma.add(other.sigma);
+  indirect.add(other.indirect);
+  ambient.add(other.ambient);
+}
+
+PhotoMeasures measure(ReportPhoto& photo, double white, PictureRanges& ranges, Reporter& report) {
   auto& files = photo.impl();
   const int width = files.width(), height = files.height(), step = band_rows(width);
   PhotoMeasures m;
+  PictureRanges own;
   Sums sums;
   m.pixels = static_cast<std::uint64_t>(width) * static_cast<std::uint64_t>(height);
   for (int y0 = 0; y0 < height; y0 += step) {
@@ -278,7 +286,7 @@ PhotoMeasures measure(ReportPhoto& photo, double white, Reporter& report) {
     add_likeness(band, width, y0 - from, y1 - from, white, sums);
     const std::vector<float> sigma = files.read(files.sigma, from, to - from);
     const std::vector<float> light = files.light ? files.read(*files.light, from, to - from) : std::vector<float>{};
-    add_counts(band, sigma, light, width, y0 - from, y1 - from, white, m, sums);
+    add_counts(band, sigma, light, width, y0 - from, y1 - from, white, m, own, sums);
   }
   const double n = static_cast<double>(m.predicted);
   m.psnr_linear = n > 0 ? decibels(sums.squares_linear / n) : NAN;
@@ -286,7 +294,8 @@ PhotoMeasures measure(ReportPhoto& photo, double white, Reporter& report) {
   m.ssim = sums.ssim_pixels > 0 ? sums.ssim / static_cast<double>(sums.ssim_pixels) : NAN;
   m.residual_rms = n > 0 ? std::sqrt(sums.residual / (3 * n)) : NAN;
   m.residual_relative = sums.photo > 0 ? std::sqrt(sums.residual / sums.photo) : NAN;
-  m.median_sigma = m.sigma.quantile(0.5);
+  m.median_sigma = own.sigma.quantile(0.5);
+  ranges.add(own);
   for (std::size_t c = 0; c < 3; ++c) m.shares[c] = files.light && m.solved > 0 ? sums.shares[c] / static_cast<double>(m.solved) : NAN;
   return m;
 }

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "stream/base/report.h"
@@ -49,6 +50,12 @@ class ReportPhoto {
 /// Values of all three channels on pixels that can be used: what the exposure is chosen from.
 LogHistogram radiance_histogram(ReportPhoto& photo);
 
+/// Values of pixels, for the ranges of the pictures. 330 KB: one for all photographs together.
+struct PictureRanges {
+  LogHistogram difference, sigma, indirect, ambient;
+  void add(const PictureRanges& other);
+};
+
 /// Differences and PSNR are over the pixels that have a prediction; values divided by `white`.
 struct PhotoMeasures {
   std::uint64_t pixels = 0;
@@ -63,9 +70,10 @@ struct PhotoMeasures {
   double residual_relative = 0;    ///< rms of the residual over rms of the photograph
   double median_sigma = 0;         ///< of solved pixels
   std::array<double, 3> shares{};  ///< mean of direct, indirect, ambient over solved pixels; NaN without light pictures
-  LogHistogram difference, sigma, indirect, ambient;  ///< for the ranges of the pictures
 };
-PhotoMeasures measure(ReportPhoto& photo, double white, Reporter& report);
+static_assert(std::is_trivially_copyable_v<PhotoMeasures>);   // one for each photograph is held: 150 bytes, and nothing behind them
+/// ranges: the photograph's values are added.
+PhotoMeasures measure(ReportPhoto& photo, double white, PictureRanges& ranges, Reporter& report);
 
 /// Scales that all photographs of a report share.
 struct PictureScales {

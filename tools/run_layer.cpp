@@ -34,7 +34,7 @@ class LayerStages {
   void blend(const stream::Store& store) {
     std::vector<blend::BlendPhotograph> photographs;
     blend::BlendOptions options;
-    Hasher h = keyed("blend 9");
+    Hasher h = keyed("blend 10");
     h.add(store.manifest().key);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {

@@ -18,6 +18,7 @@ constexpr std::uint64_t kPointsOfCloud = 4;   ///< default budget: so many times
 blend::Findings findings_of(const Json& record) {
   blend::Findings known;
   known.scatter = record.at("scatter");
+  known.tolerance.by_class = record.at("tolerance").get<decltype(known.tolerance.by_class)>();
   for (const Json& p : record.at("photographs")) {
     known.gain.push_back(p.at("gain").get<std::array<double, 3>>());
     blend::Alignment a;

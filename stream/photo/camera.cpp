@@ -193,6 +193,11 @@ double undistort_radius(const Lens& lens, const Radial& radial, double wanted) {
 
 }  // namespace
 
+bool is_pinhole(const Lens& lens) {
+  const auto is_zero = [](double v) { return v == 0; };
+  return lens.kind == LensKind::kPerspective && std::all_of(lens.k.begin(), lens.k.end(), is_zero) && std::all_of(lens.p.begin(), lens.p.end(), is_zero);
+}
+
 std::optional<Vec2d> project(const Lens& lens, const Vec3d& p_in_camera) {
   double x = 0, y = 0;
   const double z = p_in_camera.z();

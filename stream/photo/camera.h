@@ -54,6 +54,14 @@ struct Camera {
 /// The result may lie outside the image.
 std::optional<Vec2d> project(const Lens& lens, const Vec3d& p_in_camera);
 
+/// Whether the lens is without distortion; then project() and project_pinhole() have the same bits wherever both have a pixel of a picture.
+bool is_pinhole(const Lens& lens);
+inline std::optional<Vec2d> project_pinhole(const Lens& lens, const Vec3d& p_in_camera) {
+  if (!(p_in_camera.z() > 0)) return std::nullopt;
+  const double x = p_in_camera.x() / p_in_camera.z(), y = p_in_camera.y() / p_in_camera.z();
+  return Vec2d(lens.cx + lens.fx * x + lens.skew * y, lens.cy + lens.fy * y);
+}
+
 /// Unit direction in the camera frame of a pixel coordinate: the inverse of project(), by Newton iteration to 1e-10; nullopt where it does not converge.
 std::optional<Vec3d> unproject(const Lens& lens, const Vec2d& pixel);
 

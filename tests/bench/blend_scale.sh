@@ -2,7 +2,7 @@
 # Blending at growing sizes: time, readings a second, bytes touched against the memory bandwidth of the machine, peak memory. A synthetic wall, photographs
 # taken as the colour itself.
 #   usage: bash tests/bench/blend_scale.sh OUT [POINTS:PHOTOGRAPHS[:WxH] …]     default: 1000000:10 4000000:10 1000000:40, of 800x600; OUT: a folder, emptied case by case
-# Readings are visited three times (compare, inspect, add up). Bytes touched: four pixels of 60 bytes at each visit, from caches or not; and 592 bytes of state and
+# Readings are visited three times (compare, inspect, add up). Bytes touched: four pixels of 64 bytes at each visit, from caches or not; and 592 bytes of state and
 # geometry a point (a ballot of 96 bytes written and read again, then read twice; sums of 80 bytes read and written; 16 bytes of geometry each time), once for a
 # group of photographs that memory holds together; one group is counted. The bandwidth is measured after each case (target `bandwidth`), as other work counts.
 # Core seconds are those of a run that only blends, into a second layer, less those of the same once more, which finds everything done.
@@ -47,7 +47,7 @@ nothing, _ = run("second")
 machine = json.loads(subprocess.check_output([bandwidth]))
 seconds = sum(s["seconds"] for s in record["stages"] if s["name"].startswith("blend"))
 counts = record["counts"]
-touched = (3 * 240 * counts["samples"] + 592 * counts["points_seen"]) / seconds
+touched = (3 * 256 * counts["samples"] + 592 * counts["points_seen"]) / seconds
 print(f"| {points} | {photographs} | {size} | {counts['points_seen']} | {counts['samples']} | {seconds:.1f} | {blending - nothing:.1f} | {1e9 * (blending - nothing) / (3 * counts['samples']):.0f} | {touched / 1e9:.2f} | "
       f"{100 * touched / machine['copy_bytes_per_s']:.0f} % of {machine['copy_bytes_per_s'] / 1e9:.1f} GB/s | {max(r['memory']['peak_bytes'] for r in (first, record)) / 2**20:.0f} | {record['blending']['scratch_bytes'] / 2**20:.0f} |", flush=True)
 PY

@@ -76,5 +76,30 @@ TEST(Agreement, NoPairsNoGains) {
   EXPECT_EQ(a.scatter, 0);
 }
 
+ReadingDistances distances(std::array<float, Tolerance::kClasses> medians, std::uint32_t readings = 1000) {
+  ReadingDistances d{medians, {}};
+  d.readings.fill(readings);
+  return d;
+}
+
+TEST(Agreement, WhatHasNoVoteMayDifferAsUsualInItsClass) {
+  const std::vector<ReadingDistances> usual(5, distances({0.004f, 0.005f, 0.02f, 0.1f, 0.05f}));
+  const Tolerance t = tolerance_by_class(0.032f, usual);
+  EXPECT_FLOAT_EQ(t.by_class[0], 0.032f);
+  EXPECT_FLOAT_EQ(t.by_class[1], 0.032f);          // four medians are less than the votes are allowed
+  EXPECT_FLOAT_EQ(t.by_class[2], 0.032f * 2 * std::sqrt(2.0f));   // 0.08, up to the next half octave
+  EXPECT_GE(t.by_class[3], 0.4f);
+  EXPECT_LE(t.by_class[3], 0.4f * std::sqrt(2.0f));
+  EXPECT_FLOAT_EQ(t.by_class[4], t.by_class[3]);   // never less than what weighs more
+}
+
+TEST(Agreement, FewReadingsAndTheMinorityOfPhotographsDoNotWiden) {
+  EXPECT_EQ(tolerance_by_class(0.032f, std::vector<ReadingDistances>(5, distances({0.1f, 0.1f, 0.1f, 0.1f, 0.1f}, 30))).by_class[4], 0.032f);
+  EXPECT_EQ(tolerance_by_class(0.032f, {}).by_class[4], 0.032f);
+  std::vector<ReadingDistances> some(5, distances({0.004f, 0.004f, 0.004f, 0.004f, 0.004f}));
+  some[1] = some[3] = distances({0.5f, 0.5f, 0.5f, 0.5f, 0.5f});
+  EXPECT_EQ(tolerance_by_class(0.032f, some).by_class[4], 0.032f);
+}
+
 }  // namespace
 }  // namespace chiaro::blend

@@ -41,6 +41,32 @@ TEST(Ballot, KeepsTheEightLargestWeights) {
   EXPECT_NEAR(least, 93, 0.1f);
 }
 
+TEST(Ballot, WhatWeighsLessThanTheLeastIsNoVote) {
+  Ballot ballot;
+  EXPECT_EQ(least_weight(ballot), 0);
+  for (std::uint16_t k = 0; k < 8; ++k) cast_vote(ballot, k, reading(0.5f, 3.0f + k), 0.5f);
+  const float least = least_weight(ballot);
+  EXPECT_GT(least, 2.98f);
+  EXPECT_LE(least, 3);
+  const auto bytes_of = [](const Ballot& b) { return std::vector<std::byte>(reinterpret_cast<const std::byte*>(&b), reinterpret_cast<const std::byte*>(&b + 1)); };
+  const auto before = bytes_of(ballot);
+  for (const float share : {0.9999f, 0.9f, 1e-6f}) {
+    cast_vote(ballot, 0, reading(0.9f, share * least), 0.5f);   // of equal weights that of the first photograph would stay
+    EXPECT_EQ(bytes_of(ballot), before) << share;
+  }
+  cast_vote(ballot, 9, reading(0.9f, 3.01f), 0.5f);
+  EXPECT_NE(bytes_of(ballot), before);
+}
+
+TEST(Ballot, ReadingsAreJudgedByTheirWeightBesideTheVotes) {
+  EXPECT_EQ(Tolerance::class_of(0.001f, 0), 0u);   // there was room for a vote
+  EXPECT_EQ(Tolerance::class_of(2, 2), 0u);
+  EXPECT_EQ(Tolerance::class_of(1.9f, 2), 1u);
+  EXPECT_EQ(Tolerance::class_of(2 / 15.0f, 2), 1u);
+  EXPECT_EQ(Tolerance::class_of(2 / 17.0f, 2), 2u);
+  EXPECT_EQ(Tolerance::class_of(1e-20f, 2), Tolerance::kClasses - 1);
+}
+
 TEST(Ballot, HasTheSameBitsInWhateverOrderVotesAreCast) {
   std::vector<std::uint16_t> order{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11};
   std::optional<std::vector<std::byte>> expected;

@@ -110,9 +110,9 @@ TEST(Blend, ThreeBandsHaveTheSameBytesForAnyBudgetAndAfterStops) {
   w.run(photos, options);
   const auto expected = w.bytes();
   EXPECT_NE(expected, two);
-  w.run(photos, options, 3000 << 10);
+  w.run(photos, options, 3 << 20);
   EXPECT_EQ(w.bytes(), expected);
-  const int stops = stops_until_done(3, 9, [&](Reporter& report, int before) { w.run(photos, options, before % 2 == 0 ? kPlenty : 3000 << 10, report); });
+  const int stops = stops_until_done(3, 9, [&](Reporter& report, int before) { w.run(photos, options, before % 2 == 0 ? kPlenty : 3 << 20, report); });
   ASSERT_LT(stops, 100);
   EXPECT_GE(stops, 3);
   EXPECT_EQ(w.bytes(), expected);

@@ -204,5 +204,20 @@ TEST(Bulk, AThousandPhotographsOfOneChunk) {
   EXPECT_EQ(many.points_disputed, 0u);
 }
 
+/// Ten from near by, next to each other, and six from afar that differ smoothly from them, as coarse pixels on relief do: the near ones hold all votes and agree closely.
+TEST_F(Disturbed, WhatIsUsualFromAfarIsNoDisturbanceAndAnotherObjectIs) {
+  const auto far_off = [](const Vec3f& albedo, int x, int y, int k) { return Vec3f(albedo * static_cast<float>(std::exp(0.08 * std::sin(0.09 * x + k) + 0.08 * std::cos(0.08 * y - k)))); };
+  std::vector<BlendPhotograph> photos;
+  for (int k = 0; k < 10; ++k) photos.push_back(shoot(w.scene, look_at("near" + std::to_string(k), Vec3d(0.46 + 0.008 * k, 0.5, 0.5), Vec3d(0.5, 0.5, 0), 320, 240, 100), w.folder.path(), {}));
+  for (int k = 0; k < 6; ++k) {
+    ShotOptions shot;
+    shot.paint = [&, k](int x, int y, const Vec3f& albedo) { return k == 2 && in_disc(x, y) ? Vec3f(0.15f, 0.5f, 0.2f) : far_off(albedo, x, y, k); };
+    photos.push_back(shoot(w.scene, look_at("far" + std::to_string(k), Vec3d(0.4 + 0.04 * k, 0.5, 1.2), Vec3d(0.5, 0.5, 0), 160, 120, 150), w.folder.path(), shot));
+  }
+  const BlendStats stats = w.run(photos);
+  EXPECT_LT(stats.tolerance.of_votes(), 0.05f);
+  for (std::size_t k = 0; k < photos.size(); ++k) EXPECT_EQ(stats.photographs[k].inspection.disturbed.has_value(), k == 12) << photos[k].name;
+}
+
 }  // namespace
 }  // namespace chiaro::blend

@@ -23,6 +23,12 @@ AnalyticScene fine_paint() {
   return scene;
 }
 
+Tolerance even_tolerance() {
+  Tolerance tolerance;
+  tolerance.by_class.fill(0.1f);
+  return tolerance;
+}
+
 class Refine : public ::testing::Test {
  protected:
   std::vector<BlendPhotograph> photographs(double focal = 150) const {
@@ -134,7 +140,7 @@ TEST_F(Refine, FactorsAndPlacesAreTakenFromTheCloudsBlend) {
   photos.push_back(w.photograph("d", Vec3d(0.5, 0.4, 1), Vec3d(0.5, 0.5, 0), gained(1.5f)));
   find(photos);
   BlendOptions options;
-  options.known = Findings{{{1, 1, 1}, {1, 1, 1}, {1, 1, 1}, {1 / 1.5, 1 / 1.5, 1 / 1.5}}, std::vector<Alignment>(4), 0.01};
+  options.known = Findings{{{1, 1, 1}, {1, 1, 1}, {1, 1, 1}, {1 / 1.5, 1 / 1.5, 1 / 1.5}}, std::vector<Alignment>(4), 0.01, even_tolerance()};
   const auto right = blended(photos, options);
   double error = 0, seen = 0;
   for (const Seen& s : right)
@@ -155,7 +161,7 @@ TEST_F(Refine, FactorsAndPlacesAreTakenFromTheCloudsBlend) {
 TEST_F(Refine, APhotographIsReadWhereTheCloudsBlendHasFoundIt) {
   const std::vector<BlendPhotograph> photos{photographs()[0]};
   BlendOptions options;
-  options.known = Findings{{{1, 1, 1}}, {{Vec2f(5, -3), 1}}, 0.01};
+  options.known = Findings{{{1, 1, 1}}, {{Vec2f(5, -3), 1}}, 0.01, even_tolerance()};
   const stream::Camera& camera = photos[0].camera;
   find(photos);
   double error = 0, seen = 0;
@@ -172,7 +178,7 @@ TEST_F(Refine, APhotographIsReadWhereTheCloudsBlendHasFoundIt) {
 
 TEST_F(Refine, WhatIsKnownHasToFitThePhotographs) {
   BlendOptions options;
-  options.known = Findings{{{1, 1, 1}}, std::vector<Alignment>(1), 0.01};
+  options.known = Findings{{{1, 1, 1}}, std::vector<Alignment>(1), 0.01, even_tolerance()};
   EXPECT_THROW(w.run(photographs(), options), std::invalid_argument);
   options.keep = w.folder.path() / "kept";
   EXPECT_THROW(w.run({photographs()[0]}, options), std::invalid_argument);

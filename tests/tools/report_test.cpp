@@ -241,7 +241,8 @@ TEST(Report, MeasuresInBandsWhatAWholePictureGives) {
   run.write();
   constexpr double kWhite = 0.5;
   ReportPhoto photo(run.folder, "tall", true);
-  const PhotoMeasures m = measure(photo, kWhite, silent_reporter());
+  PictureRanges ranges;
+  const PhotoMeasures m = measure(photo, kWhite, ranges, silent_reporter());
 
   const std::size_t n = static_cast<std::size_t>(run.width) * static_cast<std::size_t>(run.height);
   std::vector<float> a(3 * n), b(3 * n), ya(n), yb(n);

@@ -47,6 +47,26 @@ TEST(Camera, ProjectsAPointByHand) {
   EXPECT_FALSE(project(plain_lens(), {0.5, -0.25, 0}));
 }
 
+TEST(Camera, ALensWithoutDistortionProjectsToTheSameBitsTheShortWay) {
+  Lens lens = plain_lens();
+  lens.skew = 0.7;
+  ASSERT_TRUE(is_pinhole(lens));
+  for (std::uint64_t i = 0; i < 1000; ++i) {
+    std::uint32_t draw = 0;
+    const Vec3d p(uniform(i, draw++, -3, 3), uniform(i, draw++, -3, 3), uniform(i, draw++, -1, 9));
+    EXPECT_EQ(project_pinhole(lens, p), project(lens, p)) << i;
+  }
+  Lens other = lens;
+  other.k[6] = 1e-3;
+  EXPECT_FALSE(is_pinhole(other));
+  other = lens;
+  other.p[3] = 1e-3;
+  EXPECT_FALSE(is_pinhole(other));
+  other = lens;
+  other.kind = LensKind::kFisheye;
+  EXPECT_FALSE(is_pinhole(other));
+}
+
 TEST(Camera, ProjectsADistortedPointByHand) {
   Lens lens = plain_lens();
   lens.k = {0.1, 0.2, 0.3, 0.01, 0.02, 0.03, 0.4};
