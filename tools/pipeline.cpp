@@ -24,6 +24,7 @@
 #include "tools/ingest.h"
 #include "tools/light_record_json.h"
 #include "tools/light_spread_json.h"
+#include "tools/resources.h"
 #include "tools/run_context_json.h"
 #include "tools/run_layer.h"
 #include "tools/table.h"
@@ -339,7 +340,7 @@ class Pipeline {
     if (std::none_of(input.photographs.begin(), input.photographs.end(), [](const optimize::ObserveInput& p) { return p.flash_in_camera.has_value(); })) return;
     optimize::AcquisitionOptions options;
     options.seed = run_.project.seed;
-    options.max_proxy_surfels = std::min(options.max_proxy_surfels, std::max<std::uint64_t>(2000, optimize::proxy_surfels_within(run_.budget.limit_bytes() / 2, options.rays)));
+    options.max_proxy_surfels = std::min(options.max_proxy_surfels, std::max<std::uint64_t>(2000, optimize::proxy_surfels_within(plannable_bytes(run_.project.memory_bytes) / 2, options.rays)));
     const std::filesystem::path folder = run_.folder.acquisition(a.name);
     make_folder(folder);
     Hasher h = keyed("gather");

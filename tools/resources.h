@@ -9,4 +9,7 @@ namespace chiaro::tools {
 /// throws UsageError if less than 32 MiB would remain, naming the least that works.
 std::uint64_t budget_bytes(std::uint64_t memory_bytes);
 
+/// Nearly that, from memory_bytes alone: what a result may depend on must not change with what the process holds at its start, which is never the same twice.
+std::uint64_t plannable_bytes(std::uint64_t memory_bytes);
+
 }  // namespace chiaro::tools

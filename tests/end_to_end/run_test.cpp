@@ -173,6 +173,18 @@ TEST_F(Run, ReusesWhatIsDone) {
   for (const auto& stage : record["stages"]) EXPECT_TRUE(stage["reused"].get<bool>()) << stage["name"];
 }
 
+// What a process holds at its start is never the same twice; here it is made to differ by the words of its environment.
+TEST_F(Run, ReusesWhatIsDoneWhateverTheProcessHoldsAtItsStart) {
+  scene();
+  ASSERT_EQ(run("out", {"--memory", "512MiB"}).code, 0);
+  ProcessOptions larger;
+  for (int i = 0; i < 10; ++i) larger.environment.push_back("CHIARO_TEST_" + std::to_string(i) + "=" + std::string(100000, 'x'));
+  ASSERT_EQ(run("out", {"--memory", "512MiB"}, larger).code, 0);
+  const auto record = json("out/run.json");
+  ASSERT_GE(record["stages"].size(), 10u);
+  for (const auto& stage : record["stages"]) EXPECT_TRUE(stage["reused"].get<bool>()) << stage["name"];
+}
+
 TEST_F(Run, MakesAgainWhatWasCutOrRemoved) {
   scene({.photographs = 1});
   ASSERT_EQ(run("out").code, 0);
