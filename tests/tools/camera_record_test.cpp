@@ -33,8 +33,8 @@ std::vector<PhotographCamera> two_cameras() {
 class CameraRecord : public testing::Test {
  protected:
   void SetUp() override { write_camera_record(file_, two_cameras()); }
-  void TearDown() override { std::filesystem::remove(file_); }
-  std::filesystem::path file_ = std::filesystem::path(testing::TempDir()) / "chiaro_cameras.json";
+  ScratchFolder scratch_;   // of this test alone: others run beside it
+  std::filesystem::path file_ = scratch_.path() / "cameras.json";
 };
 
 TEST_F(CameraRecord, ReadsBackWhatWasWritten) {
