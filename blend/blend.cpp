@@ -20,7 +20,7 @@
 #include "blend/sample.h"
 #include "blend/second_look.h"
 #include "blend/write_leaf.h"
-#include "stream/base/error.h"
+#include "stream/base/disk_space.h"
 #include "stream/base/file.h"
 #include "stream/base/hash.h"
 #include "stream/store/layer.h"
@@ -118,9 +118,8 @@ class Blender {
     scratch_bytes_ = sums_bytes + ballot_bytes + std::max(LeafFile::spare_bytes(sums_bytes), LeafFile::spare_bytes(ballot_bytes));   // one after the other
     std::uint64_t layer_bytes = 0;
     for (const stream::ChunkEntry& c : store_.chunks()) layer_bytes += std::uint64_t{c.count} * kLayerBytes;
-    const std::uint64_t there = allocated_bytes(scratch_ / kVotesFile) + allocated_bytes(scratch_ / kSumsFile), free = options_.free_bytes(scratch_) + there;
-    if (free < scratch_bytes_ + layer_bytes)
-      throw Error(concat(scratch_.string(), ": no space: blending needs ", format_bytes(scratch_bytes_ + layer_bytes), ", the disk has ", format_bytes(free), " free"));
+    const std::uint64_t there = allocated_bytes(scratch_ / kVotesFile) + allocated_bytes(scratch_ / kSumsFile);
+    require_disk_space(scratch_, "blending", scratch_bytes_ + layer_bytes, options_.free_bytes(scratch_) + there);
   }
 
   void open_kept() {

@@ -66,14 +66,8 @@ int run_run(std::span<const std::string> words, Console& console) {
   const FolderLock lock(folder.work());
   try {
     run_pipeline(project, folder.root, budget, record, console.report());
-  } catch (const Cancelled&) {
-    write_record(record, folder, 130);
-    throw;
-  } catch (const UsageError&) {
-    write_record(record, folder, 2);
-    throw;
   } catch (...) {
-    write_record(record, folder, 1);
+    write_record(record, folder, exit_code_of_exception());
     throw;
   }
   const int code = record.was_partial() ? 3 : 0;

@@ -92,6 +92,18 @@ void Console::result(const std::string& json_object) {
   out_ << event.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << '\n' << std::flush;
 }
 
+int exit_code_of_exception() {
+  try {
+    throw;
+  } catch (const UsageError&) {
+    return 2;
+  } catch (const Cancelled&) {
+    return 130;
+  } catch (...) {
+    return 1;
+  }
+}
+
 int run_app(std::span<const std::string> args, std::span<const Command> commands, Console& console) {
   try {
     const int code = dispatch(args, commands, console);
@@ -99,14 +111,12 @@ int run_app(std::span<const std::string> args, std::span<const Command> commands
     console.out() << std::flush;
     if (!console.out()) return fail(console, "the result could not be written to the standard output", 1);
     return code;
-  } catch (const UsageError& e) {
-    return fail(console, e.what(), 2);
   } catch (const Cancelled&) {
-    return fail(console, "interrupted; the same command goes on from here", 130);
+    return fail(console, "interrupted; the same command goes on from here", exit_code_of_exception());
   } catch (const std::bad_alloc&) {
-    return fail(console, "out of memory: the system gave no more; try a smaller --memory, or end other programs", 1);
+    return fail(console, "out of memory: the system gave no more; try a smaller --memory, or end other programs", exit_code_of_exception());
   } catch (const std::exception& e) {
-    return fail(console, e.what(), 1);
+    return fail(console, e.what(), exit_code_of_exception());
   }
 }
 

@@ -9,6 +9,9 @@
 
 namespace chiaro::tools {
 
+/// Of the contract, for the exception that is being handled: 2 for wrong usage, 130 for an interruption, 1 for all else.
+int exit_code_of_exception();
+
 /// The two streams of a command and how it reports. Results go to out(), talk to err().
 ///
 /// Commands add `--json` and `--quiet` through Args::common(); the reporter is made at its first use and follows them.

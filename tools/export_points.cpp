@@ -8,6 +8,7 @@
 #include <optional>
 #include <vector>
 
+#include "stream/base/disk_space.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/base/parallel.h"
@@ -103,10 +104,7 @@ class Exporter {
   void require_space(const std::filesystem::path& scratch) const {
     const std::uint64_t points = store_.manifest().points_stored, result = (points + stats_.points_inserted) * rows_->row_bytes(), records = points * sizeof(PointRecord);
     const std::filesystem::path folder = options_.file.has_parent_path() ? options_.file.parent_path() : ".";
-    const auto require = [&](const std::filesystem::path& where, std::uint64_t bytes) {
-      const std::uint64_t free = options_.free_bytes(where);
-      if (free < bytes) throw Error(concat(where.string(), ": no space: the export needs ", format_bytes(bytes), ", the disk has ", format_bytes(free), " free"));
-    };
+    const auto require = [&](const std::filesystem::path& where, std::uint64_t bytes) { require_disk_space(where, "the export", bytes, options_.free_bytes(where)); };
     if (on_one_disk(scratch, folder)) return require(folder, records + result);
     require(scratch, records);
     require(folder, result);

@@ -35,11 +35,16 @@ LaneFloats limits_of(const SearchGroup& group, std::size_t scale) {
   return limit;
 }
 
-/// Residuals of narrow planes in some groups of a leaf.
-class NoiseSampler {
- public:
+/// What all that looks for planes here asks of a walk.
+struct PlaneWalk {
   static constexpr bool kNeedsNormals = false, kFitsGroups = true;
+  // The sixth neighbour is at 0.39 of the radius; this finds it for all but few points whose surroundings are sparser than the mean.
   static constexpr float kNearShare = 0.7f, kRunShare = 1.4f, kInnerShare = kScaleOfRadius[kScales - 1];
+};
+
+/// Residuals of narrow planes in some groups of a leaf.
+class NoiseSampler : public PlaneWalk {
+ public:
   explicit NoiseSampler(const HaloChunk& own) : stride_(std::max<std::size_t>(1, own.size / (kLanes * kNoiseGroups)) * kLanes) {}
 
   /// Groups that begin at a multiple of the stride. Runs of groups are asked, too.
@@ -91,11 +96,8 @@ Plane plane_of_scales(const MomentsAt& moments_at, double noise_variance, bool& 
   return best;
 }
 
-class NormalFitter {
+class NormalFitter : public PlaneWalk {
  public:
-  static constexpr bool kNeedsNormals = false, kFitsGroups = true;
-  // The sixth neighbour is at 0.39 of the radius; this finds it for all but few points whose surroundings are sparser than the mean.
-  static constexpr float kNearShare = 0.7f, kRunShare = 1.4f, kInnerShare = kScaleOfRadius[kScales - 1];
   NormalFitter(const HaloChunk& own, const FitOptions& options, double noise_variance, std::vector<NormalFit>& fits)
       : own_(own), options_(options), noise_variance_(noise_variance), fits_(fits) {}
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "stream/base/disk_space.h"
 #include "stream/base/error.h"
 #include "stream/base/folder_lock.h"
 #include "stream/base/hash.h"
@@ -193,8 +194,7 @@ class Builder {
       free = free_disk_bytes(part_);
     }
     report_.note(concat(n, " points: ", format_bytes(spill_bytes), " of disk while building, about ", format_bytes(store_bytes), " for the store"));
-    if (free < spill_bytes + store_bytes)
-      throw Error(concat(out_.string(), ": no space: the build needs ", format_bytes(spill_bytes + store_bytes), ", the disk has ", format_bytes(free), " free"));
+    require_disk_space(out_, "the build", spill_bytes + store_bytes, free);
     File file(part_ / "spill.bin", File::Mode::kCreate);
     file.reserve(spill_bytes);
     SpillWriter writer(file, b_.root, b_.partitions, 0, budget_, budget_.free_bytes() / 4);

@@ -11,7 +11,14 @@ namespace {
 namespace fs = std::filesystem;
 using testing::HasSubstr;
 
-class Run : public RunTest {};
+class Run : public RunTest {
+ protected:
+  void expect_all_reused() const {
+    const auto record = json("out/run.json");
+    ASSERT_GE(record["stages"].size(), 10u);
+    for (const auto& stage : record["stages"]) EXPECT_TRUE(stage["reused"].get<bool>()) << stage["name"];
+  }
+};
 
 TEST_F(Run, LeavesEverythingThatTheContractLists) {
   scene();
@@ -168,9 +175,7 @@ TEST_F(Run, ReusesWhatIsDone) {
   const auto before = results("out");
   ASSERT_EQ(run("out").code, 0);
   EXPECT_THAT(differences(before, results("out")), testing::IsEmpty());
-  const auto record = json("out/run.json");
-  ASSERT_GE(record["stages"].size(), 10u);
-  for (const auto& stage : record["stages"]) EXPECT_TRUE(stage["reused"].get<bool>()) << stage["name"];
+  expect_all_reused();
 }
 
 // What a process holds at its start is never the same twice; here it is made to differ by the words of its environment.
@@ -180,9 +185,7 @@ TEST_F(Run, ReusesWhatIsDoneWhateverTheProcessHoldsAtItsStart) {
   ProcessOptions larger;
   for (int i = 0; i < 10; ++i) larger.environment.push_back("CHIARO_TEST_" + std::to_string(i) + "=" + std::string(100000, 'x'));
   ASSERT_EQ(run("out", {"--memory", "512MiB"}, larger).code, 0);
-  const auto record = json("out/run.json");
-  ASSERT_GE(record["stages"].size(), 10u);
-  for (const auto& stage : record["stages"]) EXPECT_TRUE(stage["reused"].get<bool>()) << stage["name"];
+  expect_all_reused();
 }
 
 TEST_F(Run, MakesAgainWhatWasCutOrRemoved) {
