@@ -32,7 +32,6 @@ struct AcquisitionInput {
   std::vector<std::string> names;
   std::optional<std::array<double, 2>> intensity_range;   ///< about +-2 sigma
   std::vector<ReferenceTarget> references;
-  double metres_per_unit = 1;              ///< of project units: how far people misplace a flash is known in metres
   SkyModel sky = SkyModel::kAuto;          ///< kAuto: as much as an information criterion finds worth its parameters
   Method method = Method::kJoint;
   bool try_floor = true;                   ///< a floor outside the cloud is taken where the same criterion speaks for it

@@ -198,7 +198,7 @@ class AcquisitionSolver {
 
   void take_shift(const Vec3d& shift) {
     result_.flash_shift = shift;
-    const double mm_per_unit = 1000 * input_.metres_per_unit;
+    const double mm_per_unit = 1000 * scene_.proxy.metres_per_unit;
     const auto mm = [&](int axis) { return std::lround(mm_per_unit * shift[axis]); };
     note(concat("the flash stands ", std::lround(mm_per_unit * shift.norm()), " mm from where the project has it, by what the photographs show (right, down, forward: ", mm(0), ", ", mm(1), ", ", mm(2),
                 " mm): this was taken into account; is offset_in_camera right?"));

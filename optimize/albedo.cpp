@@ -102,7 +102,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   const double cosine = std::max(0.05, static_cast<double>(band.normal(i).dot(to_flash) / to_flash.norm()));
   const double tan_flash = std::sqrt(1 - std::min(1.0, cosine * cosine)) / cosine;
   // Lit or not is in doubt near the edge of a cast shadow, and what is brighter than a white surface would be there is not what it is taken for.
-  const double m = static_cast<double>(c.scene.proxy.metres_per_unit), r = static_cast<double>(to_flash.norm());
+  const double m = c.scene.proxy.metres_per_unit, r = static_cast<double>(to_flash.norm());
   const double unshadowed = lights.flash_intensity * std::max(0.0, static_cast<double>(band.normal(i).dot(to_flash)) / (r * r * r * m * m));
   const double shadow = kShadowDoubt * static_cast<double>(band.shadow[i]) * std::max(direct, unshadowed - direct) / total_mean;
   const double too_bright = brightest > 1 ? 2 * (1 - 1 / brightest) : 0;

@@ -38,7 +38,7 @@ void for_floor_rays(const Proxy& proxy, const Transport& transport, const Floor&
 /// Flash irradiance on the floor per unit intensity, 1/m^2.
 class FlashMap {
  public:
-  FlashMap(const Proxy& proxy, const surfels::Tracer& tracer, const Floor& floor, const Vec3d& flash_in_world) : floor_(floor), m2_(proxy.metres_per_unit * proxy.metres_per_unit), lit_(kMapCells * kMapCells) {
+  FlashMap(const Proxy& proxy, const surfels::Tracer& tracer, const Floor& floor, const Vec3d& flash_in_world) : floor_(floor), m2_(static_cast<float>(proxy.metres_per_unit * proxy.metres_per_unit)), lit_(kMapCells * kMapCells) {
     flash_ = (flash_in_world - proxy.origin_in_world).cast<float>();
     Vec3f low = Vec3f::Constant(1e30f), high = Vec3f::Constant(-1e30f);
     for (const Vec3f& p : proxy.position) {

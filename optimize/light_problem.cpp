@@ -201,14 +201,14 @@ bool LightProblem::move_flash(const LightSolution& solution, const LightSolveOpt
   ++place_rounds_;
   if (use_pairs_ || !lit_) return false;
   FlashPlaceOptions place_options;
-  place_options.prior_sd = kPlaceSdMetres / input_.metres_per_unit;
+  place_options.prior_sd = kPlaceSdMetres / scene_.proxy.metres_per_unit;
   place_ = find_flash_place(samples_, solution.lights, flash_shift_, independent_residuals(samples_, options), place_options);
   // Where the model explains less than expected (highlights, other light), anything that bends like the flash's pattern would pass for a shift.
-  if (!(place_.before < kExplained) || !(place_.shift_in_camera.norm() * input_.metres_per_unit < kFarthestMetres) ||
+  if (!(place_.before < kExplained) || !(place_.shift_in_camera.norm() * scene_.proxy.metres_per_unit < kFarthestMetres) ||
       (flash_shift_.isZero() && !(place_.chi2 > kPlaceChi2 && place_.after < kImproved * place_.before)))
     return false;
   const Vec3d step = place_.shift_in_camera - flash_shift_;
-  if (step.norm() * input_.metres_per_unit < kLeastStepMetres) return false;
+  if (step.norm() * scene_.proxy.metres_per_unit < kLeastStepMetres) return false;
   own_light_settled_ = false;
   const Vec3d origin = scene_.proxy.origin_in_world;
   std::vector<std::optional<Vec3d>> before;

@@ -155,7 +155,7 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
 void cast_flash(const Proxy& proxy, const surfels::Tracer& tracer, const Vec3d& flash_in_world, Observation& o) {
   const Vec3f flash = (flash_in_world - proxy.origin_in_world).cast<float>();
   const Vec3f shift = (proxy.origin_in_world - tracer.origin_in_world()).cast<float>();
-  const float m2 = proxy.metres_per_unit * proxy.metres_per_unit;
+  const auto m2 = static_cast<float>(proxy.metres_per_unit * proxy.metres_per_unit);
   parallel_blocks(proxy.size(), 1024, [&](std::size_t b, std::size_t e) {
     for (std::size_t i = b; i < e; ++i) {
       const Vec3f to_flash = flash - proxy.position[i];

@@ -22,7 +22,7 @@ std::uint32_t Proxy::index_of(const SurfelId& id) const {
 Proxy load_proxy(const stream::Store& store, const surfels::WorkingSet& cut) {
   Proxy proxy;
   proxy.origin_in_world = 0.5 * (store.manifest().bounds.min + store.manifest().bounds.max);
-  proxy.metres_per_unit = static_cast<float>(stream::metres_per_unit(store.manifest().unit));
+  proxy.metres_per_unit = stream::metres_per_unit(store.manifest().unit);
   proxy.chunks = cut.chunks;
   for (const std::uint32_t c : cut.chunks) {
     proxy.first.push_back(static_cast<std::uint32_t>(proxy.size()));

@@ -15,7 +15,7 @@ namespace chiaro::optimize {
 /// Structure of arrays over N proxy surfels; positions in the scene frame (world minus origin_in_world), project units.
 struct Proxy {
   Vec3d origin_in_world = Vec3d::Zero();
-  float metres_per_unit = 1;                ///< flash irradiance is per m^2, whatever the project's unit
+  double metres_per_unit = 1;               ///< flash irradiance is per m^2, whatever the project's unit; and how far people misplace a flash is known in metres
   std::vector<Vec3f> position, normal;      ///< normals unit; the sign is settled by orient()
   std::vector<float> radius;
   std::vector<std::uint8_t> oriented;       ///< 1: the sign of the normal is known

@@ -313,7 +313,6 @@ class Pipeline {
     const Acquisition& a = *shoots_[lead].acquisition;
     optimize::AcquisitionInput input;
     input.intensity_range = a.flash->intensity_range;
-    input.metres_per_unit = run_.project.metres_per_unit;
     input.sky = sky_model(a.ambient);
     input.try_floor = a.floor != FloorModel::kNone;
     input.floor_plane = a.floor_plane;
@@ -354,7 +353,7 @@ class Pipeline {
       optimize::gather_scene(store, input, options, folder, run_.budget, run_.report);
       return Json::object();
     });
-    h.add("light").add(static_cast<std::uint64_t>(input.method)).add(static_cast<std::uint64_t>(input.sky)).add(static_cast<std::uint64_t>(options.light_samples)).add(input.metres_per_unit);
+    h.add("light").add(static_cast<std::uint64_t>(input.method)).add(static_cast<std::uint64_t>(input.sky)).add(static_cast<std::uint64_t>(options.light_samples)).add(run_.project.metres_per_unit);
     for (const optimize::ObserveInput& p : input.photographs) h.add(p.noise.gain).add(p.noise.read_sigma).add(p.ambient_scale);
     if (input.intensity_range) h.add((*input.intensity_range)[0]).add((*input.intensity_range)[1]);
     for (const auto& r : input.references) {
