@@ -8,6 +8,7 @@
 #include "optimize/error_model.h"
 #include "optimize/floor.h"
 #include "optimize/gather.h"
+#include "optimize/light_pattern.h"
 #include "optimize/light_solve.h"
 #include "optimize/observe.h"
 #include "optimize/own_light.h"
@@ -34,6 +35,7 @@ struct AcquisitionInput {
   std::vector<ReferenceTarget> references;
   SkyModel sky = SkyModel::kAuto;          ///< kAuto: as much as an information criterion finds worth its parameters
   Method method = Method::kJoint;
+  FalloffModel falloff = FalloffModel::kAuto;   ///< joint: how light may fall off over the pictures
   bool try_floor = true;                   ///< a floor outside the cloud is taken where the same criterion speaks for it
   std::optional<std::array<double, 4>> floor_plane;   ///< n x, n y, n z, h: n . p = h in the world, n up; absent: found (optimize/floor.h)
 };
@@ -60,7 +62,7 @@ struct AcquisitionResult {
   std::vector<LightSolution> lights;       ///< one for the acquisition (joint), or one per flash photograph (single, adam)
   std::vector<std::size_t> light_of_photograph;
   std::vector<OwnLight> own_lights;        ///< of each photograph: factors on its ambient light, and of its brightness that was taken out; 1 where it is like the others (optimize/own_light.h)
-  Vec3d flash_shift = Vec3d::Zero();       ///< project units, camera axes: the flash stands that far from where the project has it (optimize/flash_place.h)
+  LightPattern pattern;                    ///< where the flash stands, and how light falls off over the pictures (joint)
   std::vector<bool> strangers;             ///< of each photograph: it shows something else than the others, and took no part (optimize/strangers.h)
   std::size_t proxy_surfels = 0, proxy_seen = 0;
   double back_share = 0;

@@ -184,7 +184,7 @@ class AcquisitionSolver {
     const LightSolution& solution = result_.lights.back();
     const std::string& first = input_.names[photographs[0]];
     const bool several = photographs.size() > 1;
-    if (!problem.flash_shift().isZero()) take_shift(problem.flash_shift());
+    if (photographs.size() > 1) take_pattern(problem.pattern());
     if (const Gloss& gloss = solution.lights.gloss; gloss.on)
       note(concat("the surfaces are glossy: a clear coat that mirrors ", tenths(100 * static_cast<double>(gloss.reflectance)), " % (roughness ", hundredths(static_cast<double>(gloss.roughness)),
                   ") explains the photographs better, and was taken off the albedo everywhere; the scale of the albedo is less certain"));
@@ -196,12 +196,19 @@ class AcquisitionSolver {
       note(concat(input_.references.size() - problem.num_references(), " reference targets cover no usable pixel and were left out"));
   }
 
-  void take_shift(const Vec3d& shift) {
-    result_.flash_shift = shift;
-    const double mm_per_unit = 1000 * scene_.proxy.metres_per_unit;
-    const auto mm = [&](int axis) { return std::lround(mm_per_unit * shift[axis]); };
-    note(concat("the flash stands ", std::lround(mm_per_unit * shift.norm()), " mm from where the project has it, by what the photographs show (right, down, forward: ", mm(0), ", ", mm(1), ", ", mm(2),
-                " mm): this was taken into account; is offset_in_camera right?"));
+  void take_pattern(const LightPattern& pattern) {
+    result_.pattern = pattern;
+    if (const Vec3d& shift = pattern.flash_shift; !shift.isZero()) {
+      const double mm_per_unit = 1000 * scene_.proxy.metres_per_unit;
+      const auto mm = [&](int axis) { return std::lround(mm_per_unit * shift[axis]); };
+      note(concat("the flash stands ", std::lround(mm_per_unit * shift.norm()), " mm from where the project has it, by what the photographs show (right, down, forward: ", mm(0), ", ", mm(1), ", ", mm(2),
+                  " mm): this was taken into account; is offset_in_camera right?"));
+    }
+    const Falloff& falloff = pattern.falloff;
+    const double lost = 1 - kept_in_corners(falloff);
+    const std::string by = concat(lost > 0 ? "by " : "brighter by ", std::lround(100 * std::fabs(lost)), " %");
+    if (falloff.of_lens()) note(concat("the photographs are ", lost > 0 ? "darker towards their corners, " : "", by, lost > 0 ? " there" : " in their corners", ", as a lens makes them: this was taken off"));
+    if (falloff.of_flash()) note(concat("the flash is ", lost > 0 ? "weaker off its axis, " : "", by, " in the pictures' corners: this was taken into account"));
   }
 
   const Scene& scene_;

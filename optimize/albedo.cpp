@@ -41,9 +41,23 @@ struct Context {
   double exposure, ambient_scale, ambient_ln_sd;
   Vec3f flash, flash_cast;   ///< where it is, and where rays were cast to; scene frame of the proxy
   Vec3f camera;
+  const Falloff& falloff;
+  double corner_sine;
 };
 
 double square(double v) { return v * v; }
+
+/// Factors on what the pixel shows and on the flash there; variance of ln of the one that is not 1.
+struct PixelFalloff {
+  double lens = 1, flash = 1, variance = 0;
+};
+
+PixelFalloff falloff_at(const Context& c, const Vec3f& point) {
+  if (c.falloff.none()) return {};
+  const Mat3d& turn = c.photograph.camera.pose.rotation_camera_from_world;
+  const Vec2d seen = off_axis(turn * (point - c.camera).cast<double>(), c.corner_sine), lit = off_axis(turn * (point - c.flash).cast<double>(), c.falloff.flash_corner_sine);
+  return {lens_factor(c.falloff, seen), flash_pattern(c.falloff, lit), falloff_variance(c.falloff, seen, lit)};
+}
 
 PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   PixelAlbedo out;
@@ -54,6 +68,8 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   s.flash = band.flash[i];
   const Vec3f point = pixel_point(c.photograph.camera, c.scene.proxy.origin_in_world, x, y, band.depth[i]);
   if (c.flash != c.flash_cast) s.flash *= static_cast<float>(flash_factor(point.cast<double>(), band.normal(i).cast<double>(), c.flash_cast.cast<double>(), c.flash.cast<double>()));
+  const PixelFalloff falloff = falloff_at(c, point);
+  s.flash *= static_cast<float>(falloff.flash);
   if (!c.options.direct_only) {
     const Stencil stencil = stencil_at(c.scene.proxy, *c.scene.nearest, point, band.normal(i));
     s.sky = interpolate<kSkyTerms>(stencil, c.scene.transport.sky);
@@ -61,7 +77,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
     if (lights.floor) s.hidden = interpolate<kSkyTerms>(stencil, c.scene.transport.hidden);
     if (!c.floor_flash.empty()) s.floor_flash = interpolate<1>(stencil, c.floor_flash)[0];
   }
-  const double direct = lights.flash_intensity * static_cast<double>(s.flash);
+  const double direct = lights.flash_intensity * static_cast<double>(s.flash), exposure = c.exposure * falloff.lens;
   double sky = 0, ambient = 0;   // as it falls in, before its colour; mean of the channels
   if (!c.options.direct_only) sky = c.ambient_scale * std::max(0.0, sky_irradiance(lights, s.sky, s.hidden));
   const double by_floor = lights.floor_albedo * lights.flash_intensity * static_cast<double>(s.floor_flash);
@@ -71,7 +87,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   for (std::size_t ch = 0; ch < 3; ++ch) {
     const double indirect = c.options.direct_only ? 0.0 : lights.bounce * static_cast<double>(s.gathered[ch]) + by_floor;
     h[ch] = direct + lights.sky_colour[ch] * sky + indirect;
-    radiosity[ch] = kPi * static_cast<double>(colour[ch]) / c.exposure;
+    radiosity[ch] = kPi * static_cast<double>(colour[ch]) / exposure;
     ambient += lights.sky_colour[ch] * sky / 3;
     indirect_mean += indirect / 3;
     total_mean += h[ch] / 3;
@@ -81,7 +97,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   if (lights.gloss.on) gloss = coated_reading(lights.gloss, gloss_angles(point, band.normal(i), {c.camera, c.flash}), direct, h, radiosity);
   double noise = 0;
   for (std::size_t ch = 0; ch < 3; ++ch) {
-    out.albedo[ch] = static_cast<float>(kPi * static_cast<double>(colour[ch]) / (c.exposure * h[ch]) * gloss.factor[ch]);
+    out.albedo[ch] = static_cast<float>(kPi * static_cast<double>(colour[ch]) / (exposure * h[ch]) * gloss.factor[ch]);
     // What is darker than its noise is known to be dark, and no more: a relative deviation of 1.
     const double z = std::max(static_cast<double>(colour[ch]), 0.0), variance = c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma);
     noise += variance / std::max({z * z, variance, 1e-18}) / 3;
@@ -103,7 +119,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   const double tan_flash = std::sqrt(1 - std::min(1.0, cosine * cosine)) / cosine;
   // Lit or not is in doubt near the edge of a cast shadow, and what is brighter than a white surface would be there is not what it is taken for.
   const double m = c.scene.proxy.metres_per_unit, r = static_cast<double>(to_flash.norm());
-  const double unshadowed = lights.flash_intensity * std::max(0.0, static_cast<double>(band.normal(i).dot(to_flash)) / (r * r * r * m * m));
+  const double unshadowed = lights.flash_intensity * falloff.flash * std::max(0.0, static_cast<double>(band.normal(i).dot(to_flash)) / (r * r * r * m * m));
   const double shadow = kShadowDoubt * static_cast<double>(band.shadow[i]) * std::max(direct, unshadowed - direct) / total_mean;
   const double too_bright = brightest > 1 ? 2 * (1 - 1 / brightest) : 0;
   const ErrorModel& errors = c.options.errors;
@@ -138,7 +154,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
     j[terms - 1] = gloss.other * (sg - sf) / std::max(1e-9, lights.bounce);
     light = j.dot(c.solution.covariance * j);
   }
-  out.shared = static_cast<float>(std::sqrt(std::max(0.0, light) + square(sd * tan_flash * errors.normal_rad) + kCommon * own));
+  out.shared = static_cast<float>(std::sqrt(std::max(0.0, light) + falloff.variance * square(c.falloff.of_flash() ? sd : 1) + square(sd * tan_flash * errors.normal_rad) + kCommon * own));
   return out;
 }
 
@@ -156,8 +172,9 @@ AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, con
   for (const char* name : names) planes.push_back({name, stream::PlaneType::kF32});
   stream::RasterWriter out(raster, width, height, planes);
   const Vec3d flash = flash_in_world - scene.proxy.origin_in_world;
-  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.own.exposure, photograph.ambient_scale * inputs.own.ambient, inputs.own.ambient_ln_sd, (flash + inputs.flash_shift).cast<float>(), flash.cast<float>(),
-                        (photograph.camera.pose.centre_in_world() - scene.proxy.origin_in_world).cast<float>()};
+  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.own.exposure, photograph.ambient_scale * inputs.own.ambient, inputs.own.ambient_ln_sd,
+                        (flash + photograph.camera.pose.rotation_camera_from_world.transpose() * inputs.pattern.flash_shift).cast<float>(), flash.cast<float>(),
+                        (photograph.camera.pose.centre_in_world() - scene.proxy.origin_in_world).cast<float>(), inputs.pattern.falloff, corner_sine(photograph.camera.lens)};
   AlbedoStats stats;
   std::vector<float> sigmas;
   report.begin(concat("albedo ", photograph.camera.photograph), static_cast<std::uint64_t>(height), "rows");

@@ -15,7 +15,7 @@ struct AlbedoOptions {
 /// What the light stage left for a photograph.
 struct AlbedoInputs {
   std::filesystem::path gathered, floor_flash;   ///< floor_flash is read where the lights have a floor
-  Vec3d flash_shift = Vec3d::Zero();             ///< in the world: where the flash was found, from where rays were cast to
+  LightPattern pattern;                          ///< where the flash was found, from where rays were cast to, and how light falls off over the picture
   OwnLight own;                                  ///< factors on the photograph's ambient light, and of its brightness to take out
 };
 

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "optimize/albedo_mean.h"
-#include "optimize/flash_place.h"
 #include "optimize/light_checks.h"
 #include "optimize/proxy_file.h"
 #include "optimize/radiosity.h"
@@ -21,12 +20,7 @@ constexpr double kSweepTolerance = 1e-5;
 constexpr double kPairInformation = 0.04;
 constexpr double kGuessSd = 0.35;   // of ln flash, around the guess that the brightest surfels reflect 80 %
 constexpr int kOwnLightRounds = 5;     ///< each one sees what the lights had taken for their own before
-constexpr int kPlaceRounds = 5;
-constexpr double kPlaceChi2 = 1.5;     ///< the deviations are conservative: at most 0.7 on five scenes whose flash is where it is said to be; 1, 2 and 3 cm beside: 2.6, 8.6, 22
-constexpr double kExplained = 0.5;     ///< of the residuals' deviation, in expected ones: 0.2 to 0.33 on diffuse scenes, 0.6 under a sky and a floor that no model follows, 1.5 on a glossy one
-constexpr double kImproved = 0.98;     ///< of that deviation: 0.965 for 1 cm, 0.85 for 3; what only looks like a shift leaves 0.993
-constexpr double kPlaceSdMetres = 0.03, kFarthestMetres = 0.06;   ///< how well people measure where the flash is; nobody mistakes more
-constexpr double kLeastStepMetres = 5e-4;
+constexpr int kPatternRounds = 8;
 constexpr double kGlossyBounceSd = 0.05;   ///< least deviation of the factor on gathered light where surfaces mirror: they throw more one way than another
 constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
 
@@ -109,6 +103,8 @@ LightProblem::LightProblem(const Scene& scene, const Smoother& smoother, const A
     const Observation o = read(k);
     for (std::size_t i = 0; i < times_seen_.size(); ++i) times_seen_[i] = static_cast<std::uint16_t>(times_seen_[i] + o.seen[i]);
   }
+  for (const ObserveInput& p : input.photographs) corner_sines_.push_back(corner_sine(p.camera.lens));
+  found_.pattern.falloff.flash_corner_sine = *std::max_element(corner_sines_.begin(), corner_sines_.end());
   nearest_seen_ = nearest_seen_surfels(scene.proxy, times_seen_);
   use_pairs_ = photographs_.size() == 1;
   if (use_pairs_) {
@@ -145,7 +141,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
     const bool settled = outer > kBounceCheck && change < kOuterTolerance;
     const bool estranged = outer == kBounceCheck && leave_out_strangers(solution.lights);
     const bool near = outer > kBounceCheck && change < kSettled;
-    const bool evened = estranged || (near && ((!own_light_settled_ && own_light_rounds_ < kOwnLightRounds && find_own_light(start, solution)) || (place_rounds_ < kPlaceRounds && move_flash(solution, light_options))));
+    const bool evened = estranged || (near && ((!own_light_settled_ && own_light_rounds_ < kOwnLightRounds && find_own_light(start, solution)) || (pattern_rounds_ < kPatternRounds && find_pattern(solution, light_options))));
     bool chose = false, richer = false;
     const bool decide = !evened && (change < kSettled || outer + 1 == most) && outer > kBounceCheck;
     if (decide && try_gloss) {
@@ -169,7 +165,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   albedo_ = mean_albedo(solution.lights);
   if (!use_pairs_) errors_ = estimate_errors(samples_, solution.lights);
   solution.ambient_open = ambient_open(start, solution);
-  if (!flash_shift_.isZero()) add_uncertainty(place_.lights_covariance, solution.lights.sky[0], solution);
+  add_uncertainty(found_.lights_covariance, solution.lights.sky[0], solution);
   add_uncertainty(own_lights_covariance_, 1, solution);
   return solution;
 }
@@ -193,39 +189,7 @@ std::vector<std::string> LightProblem::notes(const LightSolution& solution) cons
 std::optional<Vec3d> LightProblem::flash_of(std::size_t k) const {
   const auto flash = flash_in_world(input_, k);
   if (!flash) return flash;
-  return Vec3d(*flash + input_.photographs[k].camera.pose.rotation_camera_from_world.transpose() * flash_shift_);
-}
-
-/// Moves the flash to where it explains the photographs better, if that is clearly elsewhere than the project says. Shadows stay where they were cast. Returns whether it moved.
-bool LightProblem::move_flash(const LightSolution& solution, const LightSolveOptions& options) {
-  ++place_rounds_;
-  if (use_pairs_ || !lit_) return false;
-  FlashPlaceOptions place_options;
-  place_options.prior_sd = kPlaceSdMetres / scene_.proxy.metres_per_unit;
-  place_ = find_flash_place(samples_, solution.lights, flash_shift_, independent_residuals(samples_, options), place_options);
-  // Where the model explains less than expected (highlights, other light), anything that bends like the flash's pattern would pass for a shift.
-  if (!(place_.before < kExplained) || !(place_.shift_in_camera.norm() * scene_.proxy.metres_per_unit < kFarthestMetres) ||
-      (flash_shift_.isZero() && !(place_.chi2 > kPlaceChi2 && place_.after < kImproved * place_.before)))
-    return false;
-  const Vec3d step = place_.shift_in_camera - flash_shift_;
-  if (step.norm() * scene_.proxy.metres_per_unit < kLeastStepMetres) return false;
-  own_light_settled_ = false;
-  const Vec3d origin = scene_.proxy.origin_in_world;
-  std::vector<std::optional<Vec3d>> before;
-  for (std::size_t k = 0; k < input_.photographs.size(); ++k) before.push_back(flash_of(k));
-  flash_shift_ = place_.shift_in_camera;
-  const auto factor = [&](std::size_t k, const Vec3f& place, const Vec3f& normal) {
-    return static_cast<float>(flash_factor(place.cast<double>() + origin, normal.cast<double>(), *before[k], *flash_of(k)));
-  };
-  for (const std::size_t k : photographs_) {
-    if (!before[k]) continue;
-    Observation o = read(k);
-    for (std::size_t i = 0; i < o.flash.size(); ++i) o.flash[i] *= factor(k, scene_.proxy.position[i], scene_.proxy.normal[i]);
-    write_observation(o, observation_path(folder_, k));
-    for (ReferenceReading& r : references_)
-      if (r.photograph == k) r.reference.sample.flash *= factor(k, r.place, r.normal);
-  }
-  return true;
+  return Vec3d(*flash + input_.photographs[k].camera.pose.rotation_camera_from_world.transpose() * found_.pattern.flash_shift);
 }
 
 Viewpoint LightProblem::viewpoint(std::size_t k) const {
@@ -252,7 +216,9 @@ void LightProblem::add_sample(std::size_t k, const Observation& o, const std::ve
   s.photograph = static_cast<std::uint32_t>(k);
   s.flash_photograph = input_.photographs[k].flash_in_camera.has_value();
   s.angles = gloss_angles(scene_.proxy.position[i], scene_.proxy.normal[i], viewpoint(k));
+  s.off_axis = off_axis_of(k, scene_.proxy.position[i]).cast<float>();
   if (const auto flash = flash_of(k)) {
+    s.flash_off_axis = flash_off_axis_of(k, scene_.proxy.position[i]).cast<float>();
     const Vec3f offset = (*flash - scene_.proxy.origin_in_world).cast<float>() - scene_.proxy.position[i], &normal = scene_.proxy.normal[i];
     const float distance = offset.norm();
     const Vec3f to_flash = offset / distance;

@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "optimize/error_model.h"
-#include "optimize/flash_place.h"
 #include "optimize/gloss_light.h"
+#include "optimize/light_pattern.h"
 #include "optimize/light_samples.h"
 #include "optimize/light_step.h"
 #include "optimize/own_light.h"
@@ -36,8 +36,8 @@ class LightProblem {
   const std::vector<OwnLight>& own_lights() const { return own_; }
   /// Of the photographs of the input: those that show something else than the others (optimize/strangers.h) and took no part.
   const std::vector<bool>& strangers_found() const { return strangers_; }
-  /// From where the project has the flash, camera axes, metres; nothing where that explains the photographs well enough.
-  const Vec3d& flash_shift() const { return flash_shift_; }
+  /// How far the flash stands from where the project has it, and how light falls off over the pictures; nothing where photographs do not ask for it.
+  const LightPattern& pattern() const { return found_.pattern; }
   SkyShape sky() const { return sky_; }
   const std::vector<SkyEvidence>& sky_evidence() const { return sky_evidence_; }
   /// Criterion of a coat beside none, as of SkyEvidence; absent where photographs could not tell.
@@ -53,10 +53,14 @@ class LightProblem {
   bool leave_out_strangers(const Lights& lights);
   void take_out_exposure(std::size_t k, double factor);
   bool find_own_light(const Lights& start, const LightSolution& solution);
+  void forget_own_lights();
   std::optional<Vec3d> flash_of(std::size_t k) const;
-  bool move_flash(const LightSolution& solution, const LightSolveOptions& options);
+  bool find_pattern(const LightSolution& solution, const LightSolveOptions& options);
+  void apply_pattern(const LightPattern& pattern);
   LightSolveOptions current_options(const Lights& start) const;
   Viewpoint viewpoint(std::size_t k) const;
+  Vec2d off_axis_of(std::size_t k, const Vec3f& place) const;
+  Vec2d flash_off_axis_of(std::size_t k, const Vec3f& place) const;
   bool choose_gloss(const Lights& start, LightSolution& solution);
   bool choose_richer_sky(const Lights& start, LightSolution& solution);
   double ambient_open(const Lights& start, const LightSolution& solution);
@@ -88,9 +92,9 @@ class LightProblem {
   std::vector<SkyEvidence> sky_evidence_;
   ErrorModel errors_;
   std::optional<double> ambient_guess_;
-  FlashPlace place_;
-  Vec3d flash_shift_ = Vec3d::Zero();
-  int own_light_rounds_ = 0, place_rounds_ = 0;
+  FoundPattern found_;
+  std::vector<double> corner_sines_;   ///< of each photograph
+  int own_light_rounds_ = 0, pattern_rounds_ = 0;
   std::optional<double> gloss_evidence_;
   bool gloss_ = false, use_pairs_ = false, own_light_settled_ = false, without_bounces_ = false, lit_ = true;
 };

@@ -27,6 +27,16 @@ void LightProblem::take_out_exposure(std::size_t k, double factor) {
       for (float& b : r.reference.sample.radiosity) b *= by;
 }
 
+void LightProblem::forget_own_lights() {
+  for (const std::size_t k : photographs_) {
+    for (ReferenceReading& r : references_)
+      if (r.photograph == k) change_own_light(r.reference.sample, 1 / own_[k].ambient, 1);
+    if (own_[k].exposure != 1) take_out_exposure(k, 1 / own_[k].exposure);
+    own_[k] = {};
+  }
+  own_lights_covariance_.setZero();
+}
+
 /// Gives photographs factors on their ambient light and brightness where that clearly explains them better, or corrects those. Returns whether any has changed.
 bool LightProblem::find_own_light(const Lights& start, const LightSolution& solution) {
   ++own_light_rounds_;

@@ -40,6 +40,7 @@ struct LightSample {
   float noise = 0, gradient = 0;              ///< of `variance` the pixel noise alone; relative change of the image, 1/px
   Vec3f lean = Vec3f::Zero();                 ///< change of ln(flash) by a turn of the normal, 1/rad: towards the flash, tan_flash long
   Vec3f flash_by_shift = Vec3f::Zero();       ///< change of ln(flash) by a shift of the flash in camera axes, 1/m
+  Vec2f off_axis = Vec2f::Zero(), flash_off_axis = Vec2f::Zero();   ///< optimize/falloff.h: of the camera, of the flash
   float trust = 1;                            ///< extra weight, 0..1 (pairs of unlike chroma)
   GlossAngles angles;
 };

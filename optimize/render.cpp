@@ -43,14 +43,21 @@ RenderSet load_set(const stream::Store& store, const stream::Layer& layer, const
   return r;
 }
 
+/// Of the flash's intensity along its axis, what it sends into a direction of the world.
+float flash_share(const RenderView& view, const Vec3f& direction) {
+  if (!view.falloff.of_flash()) return 1;
+  return static_cast<float>(flash_pattern(view.falloff, off_axis(view.pose.rotation_camera_from_world * direction.cast<double>(), view.falloff.flash_corner_sine)));
+}
+
 /// Light that reaches the proxy under the view's flash other than from flash and sky.
 struct OtherLight {
   std::vector<float> gathered;      ///< after all bounces, 3 N
   std::vector<float> floor_flash;   ///< by way of a white floor, N; empty: no floor
 };
 
-OtherLight other_light(const stream::Store& store, const Scene& scene, const std::vector<float>& proxy_albedo, const Lights& lights, const Vec3d& flash_in_world,
-                                 int scatterings, MemoryBudget& budget) {
+OtherLight other_light(const stream::Store& store, const Scene& scene, const std::vector<float>& proxy_albedo, const Lights& lights, const RenderView& view,
+                       int scatterings, MemoryBudget& budget) {
+  const Vec3d flash_in_world = view.pose.world_from_camera(view.flash_in_camera);
   surfels::Tracer tracer(scene.proxy.origin_in_world, budget);
   for (const std::uint32_t c : scene.proxy.chunks) tracer.add(store.read_chunk(c));
   tracer.commit();
@@ -60,6 +67,7 @@ OtherLight other_light(const stream::Store& store, const Scene& scene, const std
   o.flash.assign(n, 0.0f);
   o.tan_flash.assign(n, 0.0f);
   cast_flash(scene.proxy, tracer, flash_in_world, o);
+  for (std::size_t i = 0; i < n; ++i) o.flash[i] *= flash_share(view, scene.proxy.position[i] - (flash_in_world - scene.proxy.origin_in_world).cast<float>());
   const Smoother smoother = make_smoother(scene.proxy, *scene.nearest);
   OtherLight other;
   if (lights.floor && scene.floor) other.floor_flash = flash_by_floor(scene.proxy, scene.transport, smoother, tracer, *scene.floor, flash_in_world);
@@ -140,7 +148,7 @@ struct Shader {
     const Vec3f to_flash = flash - p;
     const float r2 = to_flash.squaredNorm(), r = std::sqrt(r2), cosine = hit.normal.dot(to_flash) / r;
     if (!(cosine > 0) || set.tracer.occluded(surfels::escape_ray(p, hit.normal, hit.radius, to_flash / r, r))) return 0;
-    return cosine / (r2 * set.metres_per_unit * set.metres_per_unit);
+    return cosine * flash_share(view, -to_flash) / (r2 * set.metres_per_unit * set.metres_per_unit);
   }
 
   CoatFactors coat(const Vec3f& p, const Vec3f& n) const { return lights.gloss.on ? coat_factors(lights.gloss, gloss_angles(p, n, {eye, flash})) : CoatFactors{}; }
@@ -250,7 +258,7 @@ RenderStats render(const stream::Store& store, const stream::Layer& layer, const
   for (double& s : lights.sky) s *= view.ambient_scale;
   const Vec3d flash_in_world = view.pose.world_from_camera(view.flash_in_camera);
   OtherLight other;
-  if (options.mode == RenderMode::kFull) other = other_light(store, solved->scene, solved->proxy_albedo, lights, flash_in_world, options.scatterings, budget);
+  if (options.mode == RenderMode::kFull) other = other_light(store, solved->scene, solved->proxy_albedo, lights, view, options.scatterings, budget);
   RenderSet set = load_set(store, layer, view, budget, report);
   if (options.inserted && options.inserted_layer) set.inserted = std::make_unique<RenderSet>(load_set(*options.inserted, *options.inserted_layer, view, budget, report));
   const Vec3f proxy_from_tracer = solved ? Vec3f((set.tracer.origin_in_world() - solved->scene.proxy.origin_in_world).cast<float>()) : Vec3f::Zero();

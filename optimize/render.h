@@ -16,6 +16,7 @@ struct RenderView {
   Vec3d flash_in_camera = Vec3d::Zero();   ///< project units
   double flash_intensity = 1;              ///< W/sr
   double ambient_scale = 1;                ///< factor on the acquisition's sky
+  Falloff falloff;                         ///< of the flash; what a lens loses is not shown
 };
 
 enum class RenderMode {

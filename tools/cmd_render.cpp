@@ -11,6 +11,7 @@
 #include "tools/camera_record.h"
 #include "tools/commands.h"
 #include "tools/inserted_points.h"
+#include "tools/light_record_json.h"
 #include "tools/report_json.h"
 #include "tools/resources.h"
 #include "tools/run_folder.h"
@@ -24,6 +25,7 @@ struct RunLights {
   std::string acquisition;
   optimize::Lights lights;
   Vec3d flash_in_camera = Vec3d::Zero();
+  optimize::Falloff falloff;
 };
 
 /// Nullopt if the run solved none.
@@ -42,6 +44,7 @@ std::optional<RunLights> read_lights(const RunFolder& folder) {
       if (r.lights.floor) r.lights.floor_albedo = found->at("floor_albedo");
       r.lights.bounce = found->at("bounce");
       if (found->contains("gloss")) r.lights.gloss = {true, found->at("gloss").at("reflectance"), found->at("gloss").at("roughness")};
+      if (a.contains("falloff")) r.falloff = falloff_from_json(a["falloff"]);
       for (const Json& p : project.at("acquisition"))
         if (p.at("name") == r.acquisition && !p.at("flash").is_null())
           for (int i = 0; i < 3; ++i)
@@ -121,7 +124,7 @@ int run_render(std::span<const std::string> words, Console& console) {
   make_folder(out);
   Json results = Json::array();
   for (const ViewInput& v : views) {
-    optimize::RenderView view{v.name, v.lens, v.pose, v.flash_offset_in_camera.value_or(run_lights.flash_in_camera), v.flash_intensity.value_or(run_lights.lights.flash_intensity), v.ambient_scale};
+    optimize::RenderView view{v.name, v.lens, v.pose, v.flash_offset_in_camera.value_or(run_lights.flash_in_camera), v.flash_intensity.value_or(run_lights.lights.flash_intensity), v.ambient_scale, run_lights.falloff};
     const std::filesystem::path picture = std::filesystem::path(out) / (v.name + ".exr");
     const optimize::RenderStats s = optimize::render(store, layer, lights.get(), view, options, picture, budget, console.report());
     results.push_back({{"view", v.name}, {"file", picture.string()}, {"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_without_albedo", s.pixels_without_albedo},

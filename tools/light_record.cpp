@@ -14,6 +14,42 @@ Json error_json(const optimize::ErrorModel& e) {
   return {{"normal_rad", e.normal_rad}, {"registration_px", e.registration_px}, {"other_light", e.other_light}, {"spread", e.spread}, {"rest", e.rest}, {"estimated", e.estimated}};
 }
 
+namespace {
+
+template <class Values>
+Json list_of(const Values& values) {
+  return std::vector<double>(values.data(), values.data() + values.size());
+}
+
+template <class Values>
+void read_list(const Json& list, Values& values) {
+  for (Eigen::Index i = 0; i < values.size(); ++i) values.data()[i] = list.at(static_cast<std::size_t>(i)).get<double>();
+}
+
+}  // namespace
+
+Json falloff_json(const optimize::Falloff& f) {
+  if (f.none()) return Json();
+  Json j{{"of", f.of_lens() ? "lens" : "flash"}, {"kept_in_corners", optimize::kept_in_corners(f)}};
+  j["coefficients"] = f.of_lens() ? list_of(f.lens) : list_of(f.flash);
+  if (f.of_flash()) j["corner_sine"] = f.flash_corner_sine;
+  j["covariance"] = list_of(f.covariance);
+  return j;
+}
+
+optimize::Falloff falloff_from_json(const Json& j) {
+  optimize::Falloff f;
+  if (j.is_null()) return f;
+  if (j.at("of") == "lens") {
+    read_list(j.at("coefficients"), f.lens);
+  } else {
+    read_list(j.at("coefficients"), f.flash);
+    f.flash_corner_sine = j.at("corner_sine");
+  }
+  read_list(j.at("covariance"), f.covariance);
+  return f;
+}
+
 Json gloss_json(const optimize::Gloss& g) { return g.on ? Json{{"reflectance", g.reflectance}, {"roughness", g.roughness}} : Json(); }
 
 Json light_json(const optimize::AcquisitionResult& r) {
@@ -33,7 +69,7 @@ Json light_json(const optimize::AcquisitionResult& r) {
   for (const optimize::ErrorModel& e : r.errors) errors.push_back(error_json(e));
   Json own = Json::array();
   for (const optimize::OwnLight& o : r.own_lights) own.push_back({o.ambient, o.exposure, o.ambient_ln_sd});
-  return {{"gloss_evidence", r.gloss_evidence ? Json(*r.gloss_evidence) : Json()}, {"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"own_lights", own}, {"strangers", r.strangers}, {"flash_shift", {r.flash_shift[0], r.flash_shift[1], r.flash_shift[2]}}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
+  return {{"gloss_evidence", r.gloss_evidence ? Json(*r.gloss_evidence) : Json()}, {"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"own_lights", own}, {"strangers", r.strangers}, {"flash_shift", list_of(r.pattern.flash_shift)}, {"falloff", falloff_json(r.pattern.falloff)}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
           {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
 }
 
@@ -69,7 +105,8 @@ optimize::AcquisitionResult lights_from_json(const Json& j) {
   r.light_of_photograph = j["light_of_photograph"].get<std::vector<std::size_t>>();
   for (const Json& o : j["own_lights"]) r.own_lights.push_back({o[0], o[1], o[2]});
   r.strangers = j["strangers"].get<std::vector<bool>>();
-  for (int i = 0; i < 3; ++i) r.flash_shift[i] = j["flash_shift"][static_cast<std::size_t>(i)];
+  read_list(j["flash_shift"], r.pattern.flash_shift);
+  r.pattern.falloff = falloff_from_json(j["falloff"]);
   r.proxy_surfels = j["proxy_surfels"];
   r.proxy_seen = j["proxy_seen"];
   r.back_share = j["back_share"];

@@ -75,6 +75,16 @@ optimize::SkyModel sky_model(AmbientModel m) {
   return optimize::SkyModel::kAuto;
 }
 
+optimize::FalloffModel falloff_model(FalloffModel m) {
+  switch (m) {
+    case FalloffModel::kNone: return optimize::FalloffModel::kNone;
+    case FalloffModel::kLens: return optimize::FalloffModel::kLens;
+    case FalloffModel::kFlash: return optimize::FalloffModel::kFlash;
+    case FalloffModel::kAuto: break;
+  }
+  return optimize::FalloffModel::kAuto;
+}
+
 class Pipeline {
  public:
   Pipeline(const Project& project, const std::filesystem::path& out, MemoryBudget& budget, RunRecord& record, Reporter& report)
@@ -316,6 +326,7 @@ class Pipeline {
     input.sky = sky_model(a.ambient);
     input.try_floor = a.floor != FloorModel::kNone;
     input.floor_plane = a.floor_plane;
+    input.falloff = falloff_model(a.falloff);
     input.method = solve_method(run_.project.method);
     std::vector<Shoot*> shoots{&shoots_[lead]};
     for (std::size_t i = 0; i < shoots_.size(); ++i)
@@ -353,7 +364,7 @@ class Pipeline {
       optimize::gather_scene(store, input, options, folder, run_.budget, run_.report);
       return Json::object();
     });
-    h.add("light").add(static_cast<std::uint64_t>(input.method)).add(static_cast<std::uint64_t>(input.sky)).add(static_cast<std::uint64_t>(options.light_samples)).add(run_.project.metres_per_unit);
+    h.add("light").add(static_cast<std::uint64_t>(input.method)).add(static_cast<std::uint64_t>(input.sky)).add(static_cast<std::uint64_t>(input.falloff)).add(static_cast<std::uint64_t>(options.light_samples)).add(run_.project.metres_per_unit);
     for (const optimize::ObserveInput& p : input.photographs) h.add(p.noise.gain).add(p.noise.read_sigma).add(p.ambient_scale);
     if (input.intensity_range) h.add((*input.intensity_range)[0]).add((*input.intensity_range)[1]);
     for (const auto& r : input.references) {
@@ -412,7 +423,7 @@ class Pipeline {
         options.errors = lead.lights.errors[lead.lights.light_of_photograph[k]];
         const Vec3d flash = photo.camera.pose.world_from_camera(a.flash->offset_in_camera);
         const optimize::AlbedoStats s = optimize::solve_albedo(*scene, run_.observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
-                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), photo.camera.pose.rotation_camera_from_world.transpose() * lead.lights.flash_shift, lead.lights.own_lights[k]}, options, raster, run_.report);
+                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), lead.lights.pattern, lead.lights.own_lights[k]}, options, raster, run_.report);
         optimize::write_albedo_pictures(raster, pictures);
         return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
       });
@@ -494,7 +505,8 @@ class Pipeline {
       if (own.exposure != 1) a["exposures"][p.input->key] = own.exposure;
       if (own.ambient != 1) a["ambient_factors"][p.input->key] = {{"factor", own.ambient}, {"sd", own.ambient * own.ambient_ln_sd}};
     }
-    if (const Vec3d& shift = lights.flash_shift; !shift.isZero()) a["flash_shift_in_camera"] = {shift[0], shift[1], shift[2]};
+    if (const Vec3d& shift = lights.pattern.flash_shift; !shift.isZero()) a["flash_shift_in_camera"] = {shift[0], shift[1], shift[2]};
+    if (!lights.pattern.falloff.none()) a["falloff"] = falloff_json(lights.pattern.falloff);
     a["how"] = how_found(shoot);
     const Acquisition& input = *shoot.acquisition;
     if (input.flash->intensity_range) a["calibrated_range"] = *input.flash->intensity_range;

@@ -228,7 +228,7 @@ void read_floor_plane(const toml::node& node, Acquisition& acquisition) {
 }
 
 Acquisition read_acquisition(const toml::table& table, std::size_t number, const fs::path& folder, std::vector<std::string>& notes) {
-  const Section section(table, "acquisition", {"name", "role", "photographs", "encoding", "masks", "cameras", "noise", "flash", "focus", "ambient", "reference", "exposure_s", "lights_of"});
+  const Section section(table, "acquisition", {"name", "role", "photographs", "encoding", "masks", "cameras", "noise", "flash", "focus", "falloff", "ambient", "reference", "exposure_s", "lights_of"});
   Acquisition acquisition;
   acquisition.name = concat("acquisition", number + 1);
   section.text("name", acquisition.name);
@@ -254,6 +254,7 @@ Acquisition read_acquisition(const toml::table& table, std::size_t number, const
   if (const toml::node* noise = section.find("noise")) read_noise(*noise, "acquisition.noise", acquisition.noise);
   if (const toml::node* flash = section.find("flash")) read_flash(*flash, "acquisition.flash", acquisition.flash);
   if (const toml::node* focus = section.find("focus")) read_focus(*focus, "acquisition.focus", acquisition.focus);
+  section.choice("falloff", acquisition.falloff);
   if (const toml::node* ambient = section.find("ambient")) {
     const Section light(as_table(*ambient, "acquisition.ambient"), "acquisition.ambient", {"model", "floor"});
     light.choice("model", acquisition.ambient);

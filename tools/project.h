@@ -20,6 +20,8 @@ enum class Encoding { kAuto, kLinear, kSrgb, kRaw };
 enum class AmbientModel { kAuto, kNone, kUniform, kSh1, kSh2 };
 /// kAuto: a floor outside the cloud is looked for, and taken where the photographs speak for it.
 enum class FloorModel { kAuto, kNone };
+/// How light falls off over the pictures: not, as by the lens, as by the flash. kAuto: as the photographs say.
+enum class FalloffModel { kAuto, kNone, kLens, kFlash };
 enum class SolveMethod { kJoint, kSingle, kAdam, kDirect, kNone };
 /// Factors between photographs that the blend takes out: none, one each, one a channel.
 enum class BlendGain { kNone, kGrey, kChannels };
@@ -35,6 +37,7 @@ const char* name_of(Alignment value);
 const char* name_of(Encoding value);
 const char* name_of(AmbientModel value);
 const char* name_of(FloorModel value);
+const char* name_of(FalloffModel value);
 const char* name_of(SolveMethod value);
 const char* name_of(BlendGain value);
 const char* name_of(BlendRefine value);
@@ -88,6 +91,7 @@ struct Acquisition {
   std::optional<FocusInput> focus;           ///< absent: taken as sharp everywhere
   std::vector<ReferenceInput> references;
   AmbientModel ambient = AmbientModel::kAuto;
+  FalloffModel falloff = FalloffModel::kAuto;
   FloorModel floor = FloorModel::kAuto;
   std::optional<std::array<double, 4>> floor_plane;   ///< n x, n y, n z, h: n . p = h in the cloud's frame, n pointing up, not 0
   std::optional<double> exposure_s;          ///< shutter time, > 0: the ambient light counts in proportion to it, the flash does not

@@ -22,6 +22,7 @@ Json json_of(const Acquisition& acquisition) {
     if (acquisition.flash->intensity_range) out["flash"]["intensity_range"] = *acquisition.flash->intensity_range;
   }
   if (acquisition.focus) out["focus"] = {{"distance", acquisition.focus->distance}, {"f_number", acquisition.focus->f_number}, {"focal_length", acquisition.focus->focal_length}};
+  out["falloff"] = name_of(acquisition.falloff);
   out["ambient"] = Json{{"model", name_of(acquisition.ambient)}, {"floor", name_of(acquisition.floor)}};
   if (acquisition.floor_plane) out["ambient"]["floor"] = *acquisition.floor_plane;
   if (acquisition.exposure_s) out["exposure_s"] = *acquisition.exposure_s;

@@ -18,6 +18,10 @@ const Words<FloorModel>& words_of(FloorModel) {
   static const Words<FloorModel> w{{"auto", FloorModel::kAuto}, {"none", FloorModel::kNone}};
   return w;
 }
+const Words<FalloffModel>& words_of(FalloffModel) {
+  static const Words<FalloffModel> w{{"auto", FalloffModel::kAuto}, {"none", FalloffModel::kNone}, {"lens", FalloffModel::kLens}, {"flash", FalloffModel::kFlash}};
+  return w;
+}
 const Words<SolveMethod>& words_of(SolveMethod) {
   static const Words<SolveMethod> w{{"joint", SolveMethod::kJoint}, {"single", SolveMethod::kSingle}, {"adam", SolveMethod::kAdam},
                                     {"direct", SolveMethod::kDirect}, {"none", SolveMethod::kNone}};
@@ -48,6 +52,7 @@ const char* name_of(Alignment value) { return word_of(value); }
 const char* name_of(Encoding value) { return word_of(value); }
 const char* name_of(AmbientModel value) { return word_of(value); }
 const char* name_of(FloorModel value) { return word_of(value); }
+const char* name_of(FalloffModel value) { return word_of(value); }
 const char* name_of(SolveMethod value) { return word_of(value); }
 const char* name_of(BlendGain value) { return word_of(value); }
 const char* name_of(BlendRefine value) { return word_of(value); }

@@ -15,6 +15,7 @@ const Words<Alignment>& words_of(Alignment);
 const Words<Encoding>& words_of(Encoding);
 const Words<AmbientModel>& words_of(AmbientModel);
 const Words<FloorModel>& words_of(FloorModel);
+const Words<FalloffModel>& words_of(FalloffModel);
 const Words<SolveMethod>& words_of(SolveMethod);
 const Words<BlendGain>& words_of(BlendGain);
 const Words<BlendRefine>& words_of(BlendRefine);

@@ -276,6 +276,55 @@ TEST_F(BadInput, AFlashBesideItsPlaceIsFound) {
   EXPECT_LE(error_of(s).absolute, 0.01);
 }
 
+TEST_F(BadInput, AVignetteIsTakenOff) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  options.lens_loss = 0.35;
+  const TinyScene s = scene(options);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("the photographs are darker towards their corners"));
+  EXPECT_EQ(lights().at("falloff").at("of"), "lens");
+  EXPECT_NEAR(lights().at("falloff").at("kept_in_corners").get<double>(), 0.65, 0.04);
+  EXPECT_LE(error_of(s).absolute, 0.02);
+}
+
+TEST_F(BadInput, AFlashThatIsWeakerOffItsAxisIsFollowedThereAndInNewViews) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  options.flash_loss = 0.45;
+  options.ambient_radiance = 0.4;
+  const TinyScene s = scene(options);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_EQ(lights().at("falloff").at("of"), "flash");
+  EXPECT_NEAR(lights().at("falloff").at("kept_in_corners").get<double>(), 0.55, 0.05);
+  EXPECT_LE(error_of(s).absolute, 0.02);
+  ASSERT_EQ(chiaro({"render", at("out").string(), "--views", (s.folder / "novel/views.toml").string(), "--out", at("novel").string()}).code, 0);
+  const stream::Image view = stream::read_image(at("novel/novel_00.exr")), truth = stream::read_image(s.folder / "novel/novel_00.exr");
+  double error = 0;
+  std::size_t count = 0;
+  for (std::size_t i = 1; i < view.values.size(); i += 3)
+    if (truth.values[i] > 0.02f && view.values[i] > 0) {
+      error += std::fabs(std::log(static_cast<double>(view.values[i] / truth.values[i])));
+      ++count;
+    }
+  EXPECT_GT(count, 500u);
+  EXPECT_LE(error / static_cast<double>(count), 0.03);
+}
+
+TEST_F(BadInput, AFalloffThatTheProjectRulesOutStaysInTheAlbedo) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  options.lens_loss = 0.35;
+  const TinyScene s = scene(options);
+  edit("scene/project.toml", "encoding = \"linear\"", "encoding = \"linear\"\nfalloff = \"none\"");
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_FALSE(lights().contains("falloff"));
+  EXPECT_GT(error_of(s).absolute, 0.04);
+}
+
 // The same scene, a hundred times smaller: 1.3 mm is nothing unlikely, 13 cm would be.
 TEST_F(BadInput, AFlashBesideItsPlaceIsFoundInCentimetres) {
   const TinyScene s = scene();

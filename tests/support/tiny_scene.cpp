@@ -65,6 +65,19 @@ Vec3d ray_through(const TinySceneOptions& o, double u, double v) {
   return Vec3d(q.x(), q.y(), 1).normalized();
 }
 
+/// What a lens keeps of the light at a position of the image.
+double lens_keeps(const TinySceneOptions& o, double u, double v) {
+  const double corner = std::hypot(o.width_px, o.height_px) / 2, r = std::hypot(u - o.width_px / 2.0, v - o.height_px / 2.0) / corner;
+  const double a = 1 / std::sqrt(1 - o.lens_loss) - 1;
+  return 1 / ((1 + a * r * r) * (1 + a * r * r));
+}
+
+/// What the flash sends into a direction of the camera's axes, of what it sends forward.
+double flash_sends(const TinySceneOptions& o, const Vec3d& direction) {
+  const double corner = std::atan(std::hypot(o.width_px, o.height_px) / 2 / o.focal_px), angle = std::acos(std::min(1.0, direction.z() / direction.norm()));
+  return std::exp(std::log(1 - o.flash_loss) * angle * angle / (corner * corner));
+}
+
 struct Rendered {
   std::vector<float> rgb;
   std::vector<std::uint8_t> mask;
@@ -79,15 +92,16 @@ Rendered render(const TinySceneOptions& o, const View& view, const Vec3d& flash_
     int hits = 0;
     std::array<double, 3> sum{};
     for (int s = 0; s < kSub * kSub; ++s) {
-      const Vec3d direction = view.rotation.transpose() * ray_through(o, x + (s % kSub + 0.5) / kSub, y + (s / kSub + 0.5) / kSub);
+      const double u = x + (s % kSub + 0.5) / kSub, v = y + (s / kSub + 0.5) / kSub;
+      const Vec3d direction = view.rotation.transpose() * ray_through(o, u, v);
       const auto distance = cast(view.eye, direction);
       if (!distance) continue;
       ++hits;
       const Vec3d p = view.eye + *distance * direction, to_flash = flash - p;
       const double r2 = to_flash.squaredNorm(), cosine = std::max(0.0, p.dot(to_flash) / std::sqrt(r2));   // the unit sphere's normal is its position
-      const double irradiance = (o.flash ? o.flash_intensity : 0) * cosine / r2 + kPi * o.ambient_radiance;
+      const double irradiance = (o.flash ? o.flash_intensity : 0) * flash_sends(o, view.rotation * (p - flash)) * cosine / r2 + kPi * o.ambient_radiance;
       const std::array<double, 3> albedo = tiny_albedo(o, p);
-      for (std::size_t c = 0; c < 3; ++c) sum[c] += albedo[c] / kPi * irradiance;
+      for (std::size_t c = 0; c < 3; ++c) sum[c] += albedo[c] / kPi * irradiance * lens_keeps(o, u, v);
     }
     for (std::size_t c = 0; c < 3; ++c) out.rgb[3 * i + c] = static_cast<float>(sum[c] / (kSub * kSub));
     out.mask[i] = hits == kSub * kSub ? 255 : 0;
@@ -183,7 +197,9 @@ std::string project_text(const TinySceneOptions& o, const std::vector<View>& vie
 
 void write_novel_view(const fs::path& folder, const TinySceneOptions& o) {
   const View view = look_from("novel_00", Vec3d(2.6, -2.3, 1.5));
-  stream::write_exr(folder / (view.name + ".exr"), o.width_px, o.height_px, {"R", "G", "B"}, render(o, view, kNovelFlashInCamera).rgb, false);
+  TinySceneOptions even = o;   // as it is, not as the lens shows it
+  even.lens_loss = 0;
+  stream::write_exr(folder / (view.name + ".exr"), o.width_px, o.height_px, {"R", "G", "B"}, render(even, view, kNovelFlashInCamera).rgb, false);
   std::ofstream text(folder / "views.toml");
   text << std::setprecision(15) << "[[view]]\nname = \"" << view.name << "\"\nsize = [" << o.width_px << ", " << o.height_px << "]\ncamera = { model = \""
        << (o.radial_k1 != 0 ? "SIMPLE_RADIAL" : "PINHOLE") << "\", params = [" << std::showpoint << o.focal_px << ", ";

@@ -155,6 +155,7 @@ TEST_F(ProjectTest, ReadsEveryKey) {
   EXPECT_EQ(day.focus->focal_length, 35);
   EXPECT_EQ(day.ambient, AmbientModel::kSh1);
   EXPECT_EQ(day.floor, FloorModel::kAuto);
+  EXPECT_EQ(day.falloff, FalloffModel::kAuto);
   EXPECT_EQ(load(changed("model = \"sh1\"", "floor = [0, 0, 2, -1]")).acquisitions[0].floor_plane, (std::array<double, 4>{0, 0, 2, -1}));
   const Acquisition& night = p.acquisitions[1];
   EXPECT_EQ(night.role, AcquisitionRole::kNoFlash);

@@ -1,0 +1,68 @@
+/// Unknowns that show as a pattern in how photographs disagree: where the flash stands, how light falls off over the picture. Found beside the lights.
+#pragma once
+#include <Eigen/Dense>
+#include <functional>
+#include <span>
+#include <vector>
+
+#include "optimize/light_solve.h"
+
+namespace chiaro::optimize {
+
+inline constexpr int kMaxPatternUnknowns = 9;
+using PatternVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxPatternUnknowns, 1>;
+using PatternMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMaxPatternUnknowns, kMaxPatternUnknowns>;
+
+/// What the unknowns change in a sample, of each: ln of the flash's irradiance, and ln of all that the photograph shows.
+struct PatternEffect {
+  PatternVector of_flash, of_picture;
+};
+
+/// Some unknowns, in the order of the vectors here.
+struct Pattern {
+  PatternVector already;    ///< what the samples hold
+  PatternVector prior_sd;   ///< of the whole, around 0
+  std::function<PatternEffect(const LightSample&)> effect;
+  Eigen::Index size() const { return already.size(); }
+};
+
+struct PatternFitOptions {
+  double lights_sd = 0.1, bounce_sd = 0.02;   ///< of what is left open beside: ln flash, ln ambient; the factor on gathered light
+};
+
+struct PatternFit {
+  PatternVector value;       ///< the whole, not what is to be added
+  PatternMatrix covariance;
+  Vec3d lights_step = Vec3d::Zero();   ///< of ln flash, ln ambient, bounce, beside it
+  double before = 0, after = 0;   ///< robust deviation of the residuals, in expected ones, as the samples are and with `value`
+  Eigen::Matrix2d lights_covariance = Eigen::Matrix2d::Zero();   ///< of ln flash and ln ambient: what they owe to the uncertainty of `value`
+  /// Of `count` unknowns from `first` on being nothing.
+  double chi2(Eigen::Index first, Eigen::Index count) const;
+};
+
+/// Residuals of ln(B / H) within groups, mean of the channels, of photographs with flash.
+class PatternResiduals {
+ public:
+  /// independent: residuals that the samples count for (independent_residuals()). The samples must outlive this.
+  PatternResiduals(std::span<const LightSample> samples, const Lights& lights, double independent, const PatternFitOptions& options = {});
+
+  /// Least squares, robust, linear in the unknowns; lights are free beside them. threads: one.
+  PatternFit fit(const Pattern& pattern) const;
+
+  /// Twice the misfit of what `fit` left, priors included, weighed as if residuals scattered by `scale`: for comparing patterns at one scale.
+  double misfit(const Pattern& pattern, const PatternFit& fit, double scale) const;
+
+ private:
+  struct Row {
+    double residual = 0, weight = 0;
+    Eigen::Matrix<double, kMaxPatternUnknowns + 3, 1> effect = Eigen::Matrix<double, kMaxPatternUnknowns + 3, 1>::Zero();   ///< of the pattern's unknowns; then of ln flash, ln ambient, bounce
+  };
+  std::vector<Row> rows_of(const Pattern& pattern) const;
+
+  std::span<const LightSample> samples_;
+  const Lights& lights_;
+  double independent_;
+  PatternFitOptions options_;
+};
+
+}  // namespace chiaro::optimize
