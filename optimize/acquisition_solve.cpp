@@ -184,7 +184,10 @@ class AcquisitionSolver {
     const LightSolution& solution = result_.lights.back();
     const std::string& first = input_.names[photographs[0]];
     const bool several = photographs.size() > 1;
-    if (photographs.size() > 1) take_pattern(problem.pattern());
+    if (several) {
+      take_pattern(problem.pattern());
+      result_.exposure_spread = problem.exposure_spread();
+    }
     if (const Gloss& gloss = solution.lights.gloss; gloss.on)
       note(concat("the surfaces are glossy: a clear coat that mirrors ", tenths(100 * static_cast<double>(gloss.reflectance)), " % (roughness ", hundredths(static_cast<double>(gloss.roughness)),
                   ") explains the photographs better, and was taken off the albedo everywhere; the scale of the albedo is less certain"));

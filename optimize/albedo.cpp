@@ -38,7 +38,7 @@ struct Context {
   const LightSolution& solution;
   const std::vector<float>&gathered, &floor_flash;   ///< floor_flash empty: no floor
   const AlbedoOptions& options;
-  double exposure, ambient_scale, ambient_ln_sd;
+  double exposure, ambient_scale, ambient_ln_sd, exposure_ln_sd;
   Vec3f flash, flash_cast;   ///< where it is, and where rays were cast to; scene frame of the proxy
   Vec3f camera;
   const Falloff& falloff;
@@ -129,7 +129,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   const double own = (square(errors.registration_px) + square(blur_sd_px)) * square(relative_gradient(band, x, y, noise_variance)) + square(errors.spread * sd * static_cast<double>(band.spread[i])) +
                      square(errors.other_light * (1 - sd)) + square(errors.rest) + square(kHighlightSd * gloss.highlight);
   const double ambient_factor = c.ambient_ln_sd * gloss.other * ambient / total_mean;   // of this photograph alone
-  out.sigma = static_cast<float>(std::sqrt(noise + own + square(shadow) + square(too_bright) + square(ambient_factor)));
+  out.sigma = static_cast<float>(std::sqrt(noise + own + square(shadow) + square(too_bright) + square(ambient_factor) + square(c.exposure_ln_sd)));
   // Lights, normals and part of the rest are the same for all photographs of a surfel: they do not average out.
   const auto terms = static_cast<int>(c.solution.covariance.rows());
   double light = 0;
@@ -172,7 +172,7 @@ AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, con
   for (const char* name : names) planes.push_back({name, stream::PlaneType::kF32});
   stream::RasterWriter out(raster, width, height, planes);
   const Vec3d flash = flash_in_world - scene.proxy.origin_in_world;
-  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.own.exposure, photograph.ambient_scale * inputs.own.ambient, inputs.own.ambient_ln_sd,
+  const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.own.exposure, photograph.ambient_scale * inputs.own.ambient, inputs.own.ambient_ln_sd, inputs.own.exposure_ln_sd,
                         (flash + photograph.camera.pose.rotation_camera_from_world.transpose() * inputs.pattern.flash_shift).cast<float>(), flash.cast<float>(),
                         (photograph.camera.pose.centre_in_world() - scene.proxy.origin_in_world).cast<float>(), inputs.pattern.falloff, corner_sine(photograph.camera.lens)};
   AlbedoStats stats;

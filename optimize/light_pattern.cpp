@@ -37,7 +37,7 @@ PatternEffect effect_of(const LightSample& s) {
   return e;
 }
 
-Candidate candidate(bool shift, FalloffModel falloff, const LightPattern& already, const LightPatternOptions& options) {
+Candidate candidate(bool shift, FalloffModel falloff, double exposure_sd, const LightPattern& already, const LightPatternOptions& options) {
   Candidate c{shift, falloff, {PatternVector::Zero(kUnknowns), PatternVector::Constant(kUnknowns, kNothing), effect_of}, {}};
   c.pattern.already.segment<3>(kShift) = already.flash_shift;
   c.pattern.already.segment<2>(kLens) = already.falloff.lens;
@@ -45,6 +45,7 @@ Candidate candidate(bool shift, FalloffModel falloff, const LightPattern& alread
   if (shift) c.pattern.prior_sd.segment<3>(kShift).setConstant(options.shift_prior_sd);
   if (falloff == FalloffModel::kLens) c.pattern.prior_sd.segment<2>(kLens).setConstant(kFalloffSd);
   if (falloff == FalloffModel::kFlash) c.pattern.prior_sd.segment<4>(kFlash) = Eigen::Vector4d(kTiltSd, kTiltSd, kFalloffSd, kFalloffSd);
+  c.pattern.exposure_sd = exposure_sd;
   return c;
 }
 
@@ -56,24 +57,41 @@ std::vector<FalloffModel> models_of(FalloffModel wanted) {
 
 double in_corners(const Candidate& c) { return c.falloff == FalloffModel::kLens ? c.fit.value.segment<2>(kLens).sum() : c.fit.value.segment<2>(kFlash + 2).sum(); }
 
-/// Without a shift and with one, for each model of the falloff in turn; criteria at the scale of the best.
-std::vector<Candidate> fitted(const PatternResiduals& residuals, const LightPattern& already, double independent, const LightPatternOptions& options) {
-  std::vector<Candidate> all;
+using Candidates = std::vector<Candidate>;
+
+/// Without a shift and with one, for each model of the falloff in turn.
+Candidates fitted(const PatternResiduals& residuals, double exposure_sd, const LightPattern& already, const LightPatternOptions& options) {
+  Candidates all;
   for (const FalloffModel falloff : models_of(options.falloff))
     for (const bool shift : {false, true}) {
-      all.push_back(candidate(shift, falloff, already, options));
+      all.push_back(candidate(shift, falloff, exposure_sd, already, options));
       all.back().fit = residuals.fit(all.back().pattern);
     }
-  double scale = all[0].fit.after;
-  for (const Candidate& c : all) scale = std::min(scale, c.fit.after);
-  const double price = std::log(std::max(2.0, independent));
-  for (Candidate& c : all) c.criterion = residuals.misfit(c.pattern, c.fit, scale) + price * c.unknowns();
   return all;
 }
 
+bool better(const Candidate& a, const Candidate& b) { return a.criterion < b.criterion; }
+
+/// The candidates that hold: with photographs of one brightness, unless it very likely varies.
+Candidates fitted(const PatternResiduals& residuals, const LightPattern& already, double independent, const LightPatternOptions& options) {
+  std::vector<Candidates> ways;
+  if (options.exposure_spread > 0) {
+    ways.push_back(fitted(residuals, options.exposure_spread, already, options));
+  } else {
+    for (const double exposure_sd : {0.0, kUsualSpread}) ways.push_back(fitted(residuals, exposure_sd, already, options));
+  }
+  double scale = ways[0][0].fit.after;
+  for (const Candidates& way : ways)
+    for (const Candidate& c : way) scale = std::min(scale, c.fit.after);
+  const double price = std::log(std::max(2.0, independent));
+  for (Candidates& way : ways)
+    for (Candidate& c : way) c.criterion = residuals.misfit(c.pattern, c.fit, scale) + c.fit.occam + price * c.unknowns();
+  const auto best = [](const Candidates& way) { return std::min_element(way.begin(), way.end(), better)->criterion; };
+  return ways.size() > 1 && best(ways[1]) < best(ways[0]) - kVeryStrong ? ways[1] : ways[0];
+}
+
 /// Of fitted(), where the two candidates of the model of the falloff are that holds.
-std::size_t falloff_of(const std::vector<Candidate>& all, const LightPattern& already) {
-  const auto better = [](const Candidate& a, const Candidate& b) { return a.criterion < b.criterion; };
+std::size_t falloff_of(const Candidates& all, const LightPattern& already) {
   const Candidate& without = *std::min_element(all.begin(), all.begin() + 2, better);
   const auto best = std::min_element(all.begin() + 2, all.end(), better);
   if (best == all.end() || !(std::fabs(in_corners(*best)) > kLeastFalloff)) return 0;
@@ -107,7 +125,7 @@ LightPattern pattern_of(const Candidate& chosen, double flash_corner_sine) {
 
 FoundPattern find_light_pattern(std::span<const LightSample> samples, const Lights& lights, const LightPattern& already, double independent, const LightPatternOptions& options) {
   const PatternResiduals residuals(samples, lights, independent);
-  const std::vector<Candidate> all = fitted(residuals, already, independent, options);
+  const Candidates all = fitted(residuals, already, independent, options);
   const std::size_t family = falloff_of(all, already);
   const Candidate& chosen = all[family + (shifts(all[family], all[family + 1], already, options) ? 1 : 0)];
   FoundPattern found{pattern_of(chosen, already.falloff.flash_corner_sine)};

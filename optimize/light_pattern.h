@@ -7,6 +7,8 @@
 
 namespace chiaro::optimize {
 
+inline constexpr double kUsualSpread = 0.03;   ///< of ln brightness: what flashes are not the same by, most
+
 enum class FalloffModel { kNone, kLens, kFlash, kAuto };
 
 struct LightPattern {
@@ -18,6 +20,7 @@ struct LightPatternOptions {
   double shift_prior_sd = 0.03;   ///< project units (here 3 cm), of each coordinate: how well people measure it
   double farthest_shift = 0.06;   ///< nobody mistakes more
   FalloffModel falloff = FalloffModel::kAuto;
+  double exposure_spread = 0;     ///< of ln brightness of the photographs, as far as it is known to vary; 0: it may, and then by kUsualSpread
 };
 
 struct FoundPattern {
@@ -25,7 +28,7 @@ struct FoundPattern {
   Eigen::Matrix2d lights_covariance = Eigen::Matrix2d::Zero();   ///< of ln flash and ln ambient: what they owe to its uncertainty
 };
 
-/// What there is of them beyond doubt; the others nothing. Needs LightSample::flash_by_shift, off_axis, flash_off_axis.
+/// What there is of them beyond doubt; the others nothing. Whether photographs differ in brightness by themselves (optimize/own_light.h) is left open where that may be, too. Needs LightSample::flash_by_shift, off_axis, flash_off_axis.
 ///
 /// already      what the samples hold.
 /// independent  residuals that the samples count for (independent_residuals()).

@@ -19,7 +19,6 @@ constexpr double kSweepTolerance = 1e-5;
 /// (tower, vplanes_textured, chamber) was off by 0.65 of its deviations, rms.
 constexpr double kPairInformation = 0.04;
 constexpr double kGuessSd = 0.35;   // of ln flash, around the guess that the brightest surfels reflect 80 %
-constexpr int kOwnLightRounds = 5;     ///< each one sees what the lights had taken for their own before
 constexpr int kPatternRounds = 8;
 constexpr double kGlossyBounceSd = 0.05;   ///< least deviation of the factor on gathered light where surfaces mirror: they throw more one way than another
 constexpr int kBounceCheck = 2;   ///< outer iteration after which the alternative is tried
@@ -141,7 +140,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
     const bool settled = outer > kBounceCheck && change < kOuterTolerance;
     const bool estranged = outer == kBounceCheck && leave_out_strangers(solution.lights);
     const bool near = outer > kBounceCheck && change < kSettled;
-    const bool evened = estranged || (near && ((!own_light_settled_ && own_light_rounds_ < kOwnLightRounds && find_own_light(start, solution)) || (pattern_rounds_ < kPatternRounds && find_pattern(solution, light_options))));
+    const bool evened = estranged || (near && even_out(start, solution, light_options));
     bool chose = false, richer = false;
     const bool decide = !evened && (change < kSettled || outer + 1 == most) && outer > kBounceCheck;
     if (decide && try_gloss) {
@@ -154,7 +153,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
       richer = choose_richer_sky(start, solution);
     }
     albedo = mean_albedo(solution.lights);
-    if (richer) own_light_settled_ = false;
+    if (richer) own_light_settled_ = variation_settled_ = false;
     if (!evened && settled && !richer) break;
     if (evened || chose) most = outer + 1 + options_.outer_iterations;
     if (!evened && outer > 0) relaxation.observe(light_step(before, solution.lights));
@@ -168,6 +167,12 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   add_uncertainty(found_.lights_covariance, solution.lights.sky[0], solution);
   add_uncertainty(own_lights_covariance_, 1, solution);
   return solution;
+}
+
+/// Takes out what the photographs do not share, or what of their light the project does not say. What single photographs or the light's pattern explain must not pass for a flash
+/// that is never the same: that comes last. Returns whether anything has changed.
+bool LightProblem::even_out(const Lights& start, const LightSolution& solution, const LightSolveOptions& options) {
+  return (exposure_spread_ == 0 && find_own_light(start, solution, false)) || (pattern_rounds_ < kPatternRounds && find_pattern(solution, options)) || find_own_light(start, solution, true);
 }
 
 /// Where the flash reaches nothing that is seen, its intensity says nothing about the scale: the ambient light starts from a guess that holds it.

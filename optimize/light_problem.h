@@ -34,6 +34,8 @@ class LightProblem {
   std::size_t num_references() const { return references_.size(); }
   /// Of the photographs of the input: factors on their ambient light, and of brightness that were taken out.
   const std::vector<OwnLight>& own_lights() const { return own_; }
+  /// By how much ln brightness varies over all of them.
+  double exposure_spread() const { return exposure_spread_; }
   /// Of the photographs of the input: those that show something else than the others (optimize/strangers.h) and took no part.
   const std::vector<bool>& strangers_found() const { return strangers_; }
   /// How far the flash stands from where the project has it, and how light falls off over the pictures; nothing where photographs do not ask for it.
@@ -52,8 +54,9 @@ class LightProblem {
   void look_for_flash(Lights& lights);
   bool leave_out_strangers(const Lights& lights);
   void take_out_exposure(std::size_t k, double factor);
-  bool find_own_light(const Lights& start, const LightSolution& solution);
+  bool find_own_light(const Lights& start, const LightSolution& solution, bool may_vary);
   void forget_own_lights();
+  bool even_out(const Lights& start, const LightSolution& solution, const LightSolveOptions& options);
   std::optional<Vec3d> flash_of(std::size_t k) const;
   bool find_pattern(const LightSolution& solution, const LightSolveOptions& options);
   void apply_pattern(const LightPattern& pattern);
@@ -94,9 +97,10 @@ class LightProblem {
   std::optional<double> ambient_guess_;
   FoundPattern found_;
   std::vector<double> corner_sines_;   ///< of each photograph
-  int own_light_rounds_ = 0, pattern_rounds_ = 0;
+  double exposure_spread_ = 0;
+  int own_light_rounds_ = 0, pattern_rounds_ = 0, variation_rounds_ = 0;
   std::optional<double> gloss_evidence_;
-  bool gloss_ = false, use_pairs_ = false, own_light_settled_ = false, without_bounces_ = false, lit_ = true;
+  bool gloss_ = false, use_pairs_ = false, own_light_settled_ = false, variation_settled_ = false, without_bounces_ = false, lit_ = true;
 };
 
 /// The lights that a search starts from.

@@ -33,6 +33,7 @@ bool LightProblem::find_pattern(const LightSolution& solution, const LightSolveO
   pattern_options.shift_prior_sd = kPlaceSdMetres / metres;
   pattern_options.farthest_shift = kFarthestMetres / metres;
   pattern_options.falloff = input_.falloff;
+  pattern_options.exposure_spread = exposure_spread_;
   const LightPattern before = found_.pattern;
   const FoundPattern found = find_light_pattern(thinned(samples_, kTrialGroups), solution.lights, before, independent_residuals(samples_, options), pattern_options);
   const Falloff &was = before.falloff, &is = found.pattern.falloff;
@@ -40,7 +41,7 @@ bool LightProblem::find_pattern(const LightSolution& solution, const LightSolveO
   found_.lights_covariance = found.lights_covariance;
   found_.pattern.falloff.covariance = is.covariance;
   if ((found.pattern.flash_shift - before.flash_shift).norm() * metres < kLeastStepMetres && falloff_step < kLeastFalloffStep) return false;
-  own_light_settled_ = false;
+  own_light_settled_ = variation_settled_ = false;
   if (was.none() && !is.none()) forget_own_lights();   // they may have stood for a part of it
   apply_pattern(found.pattern);
   return true;

@@ -6,6 +6,11 @@
 #include "optimize/strangers.h"
 
 namespace chiaro::optimize {
+namespace {
+
+constexpr int kOwnLightRounds = 5;     ///< each one sees what the lights had taken for their own before
+
+}  // namespace
 
 /// A photograph of something else takes no part in finding the lights. Returns whether there is one.
 bool LightProblem::leave_out_strangers(const Lights& lights) {
@@ -35,24 +40,33 @@ void LightProblem::forget_own_lights() {
     own_[k] = {};
   }
   own_lights_covariance_.setZero();
+  exposure_spread_ = 0;
 }
 
 /// Gives photographs factors on their ambient light and brightness where that clearly explains them better, or corrects those. Returns whether any has changed.
-bool LightProblem::find_own_light(const Lights& start, const LightSolution& solution) {
-  ++own_light_rounds_;
-  own_light_settled_ = true;
+bool LightProblem::find_own_light(const Lights& start, const LightSolution& solution, bool may_vary) {
+  bool& settled = may_vary ? variation_settled_ : own_light_settled_;
+  int& rounds = may_vary ? variation_rounds_ : own_light_rounds_;
+  if (settled || rounds >= kOwnLightRounds) return false;
+  ++rounds;
+  settled = true;
   if (input_.method != Method::kJoint || use_pairs_ || !lit_) return false;
   LightSolveOptions options = current_options(start);
   options.max_iterations = kTrialIterations;
-  const OwnLights found = find_own_lights(thinned(samples_, kTrialGroups), current_references(), options, solution, own_);
+  OwnLightOptions own_options;
+  own_options.may_vary = may_vary;
+  const OwnLights found = find_own_lights(thinned(samples_, kTrialGroups), current_references(), options, solution, own_, exposure_spread_, own_options);
+  exposure_spread_ = found.exposure_spread;
   own_lights_covariance_ = found.lights_covariance;
   bool any = false;
   for (const std::size_t k : photographs_) {
     const double ambient = found.of[k].ambient / own_[k].ambient, exposure = found.of[k].exposure / own_[k].exposure;
     own_[k].ambient_ln_sd = found.of[k].ambient_ln_sd;
+    own_[k].exposure_ln_sd = found.of[k].exposure_ln_sd;
+    own_[k].unlike = found.of[k].unlike;
     if (std::fabs(std::log(ambient)) < kSettled && std::fabs(std::log(exposure)) < kSettled) continue;
     any = true;
-    own_light_settled_ = false;
+    settled = false;
     own_[k].ambient *= ambient;
     for (ReferenceReading& r : references_)
       if (r.photograph == k) change_own_light(r.reference.sample, ambient, 1);

@@ -11,6 +11,9 @@ namespace {
 
 constexpr double kStill = 1e-3;        ///< of ln factor: over
 constexpr double kLongestStep = 0.7;   ///< of ln factor
+constexpr double kFirstSpread = 0.03, kLeastSpread = 1e-3;   ///< of ln brightness
+constexpr int kSpreadRounds = 8;
+constexpr double kSpreadStill = 0.03;  ///< relative
 constexpr std::size_t kTrials = 9;     ///< three photographs, in each of three ways
 constexpr std::size_t kAtOnce = 20;    ///< one photograph in so many is added at a time, at least one
 
@@ -28,10 +31,10 @@ struct Information {
 class Search {
  public:
   Search(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const LightSolution& solution,
-         std::span<const OwnLight> known, const OwnLightOptions& own)
+         std::span<const OwnLight> known, double known_spread, const OwnLightOptions& own)
       : samples_(samples.begin(), samples.end()), references_(references.begin(), references.end()), options_(options), own_(own), groups_(groups_of(samples_)),
         layout_(layout_of(options)), solution_(solution), before_(known.begin(), known.end()), now_(before_),
-        surfels_(known.size(), 0), with_flash_(known.size(), false) {
+        surfels_(known.size(), 0), with_flash_(known.size(), false), unlike_(kKinds * known.size(), false), spread_(known_spread) {
     residuals_ = std::max(1.0, residuals_of(groups_));
     independent_ = independent_residuals(samples_, options_);
     for (const SampleGroup& g : groups_)
@@ -41,30 +44,112 @@ class Search {
       }
     for (std::size_t k = 0; k < known.size(); ++k) {
       compared_ += surfels_[k] >= own.least_surfels;
-      if (known[k].ambient != 1) used_.push_back(kKinds * k + kAmbient);
-      if (known[k].exposure != 1) used_.push_back(kKinds * k + kExposure);
+      for (const std::size_t kind : {kAmbient, kExposure}) prior_sd_.push_back(kind == kAmbient ? own.ambient_ln_sd : own.exposure_ln_sd);
+      if (known[k].ambient != 1) free_factor(kKinds * k + kAmbient);
+      if (known[k].unlike) free_factor(kKinds * k + kExposure);
       members_ += in_use(k);
     }
   }
 
   OwnLights run() {
-    OwnLights found;
-    found.of = now_;
-    if (compared_ < 3) return found;
+    if (compared_ < 3) return found();
+    if (spread_ > 0) {
+      let_all_vary();
+      return found();
+    }
+    const Search start = *this;
+    add_unlike();
+    if (!own_.may_vary) return found();
+    std::vector<Search> tried{*this, start};   // some are unlike the others; all vary; both
+    tried[1].forget_all();
+    tried[1].let_all_vary();
+    if (members_ > 0) {
+      tried.push_back(*this);
+      tried[2].let_all_vary();
+    }
+    // That all vary has to be very likely beside that none does. Beside that one is unlike the others, as few photographs may leave open, it is what claims less.
+    const double handicap[] = {0, members_ > 0 ? -own_.evidence : own_.evidence, own_.evidence};
+    double scale = scale_;
+    for (const Search& t : tried) scale = std::min(scale, t.scale_);
+    std::size_t best = 0;
+    double least = 0;
+    for (std::size_t t = 0; t < tried.size(); ++t) {
+      const double evidence = misfit(tried[t].outcome(), scale) + tried[t].occam() + handicap[t];
+      if (t > 0 && (!(evidence < least) || !(tried[t].spread_ > own_.least_spread))) continue;
+      least = evidence;
+      best = t;
+    }
+    return tried[best].found();
+  }
+
+ private:
+  void add_unlike() {
     settle();
     while (add()) {
       settle();
       if (!drop_small()) continue;
       settle();
-      break;
+      return;
     }
-    found.of = now_;
-    if (used_.empty()) return found;
-    uncertainty(found);
-    return found;
   }
 
- private:
+  OwnLights found() const {
+    OwnLights result;
+    result.of = now_;
+    for (std::size_t k = 0; k < now_.size(); ++k) {
+      result.of[k].ambient_ln_sd = result.of[k].exposure_ln_sd = 0;
+      result.of[k].unlike = unlike_[kKinds * k + kExposure];
+    }
+    result.exposure_spread = spread_;
+    if (!used_.empty() && at_.shared.size() > 0) uncertainty(result);
+    return result;
+  }
+
+  void free_factor(std::size_t factor) {
+    if (uses(factor)) return;
+    used_.push_back(factor);
+    unlike_[factor] = true;
+  }
+
+  /// No photograph has a factor.
+  void forget_all() {
+    std::vector<OwnLight> change(now_.size());
+    for (std::size_t k = 0; k < now_.size(); ++k) change[k] = {1 / now_[k].ambient, 1 / now_[k].exposure};
+    apply(change);
+    used_.clear();
+    std::fill(unlike_.begin(), unlike_.end(), false);
+    members_ = 0;
+  }
+
+  /// A factor of brightness for all photographs that have none, with a prior as wide as they scatter.
+  void let_all_vary() {
+    if (!(spread_ > 0)) spread_ = kFirstSpread;
+    std::vector<std::size_t> varying;
+    for (std::size_t k = 0; k < now_.size(); ++k)
+      if (const std::size_t f = kKinds * k + kExposure; surfels_[k] >= own_.least_surfels && with_flash_[k] && !unlike_[f]) {
+        if (!uses(f)) used_.push_back(f);
+        varying.push_back(f);
+      }
+    for (int round = 0; round < kSpreadRounds; ++round) {
+      for (const std::size_t f : varying) prior_sd_[f] = spread_;
+      settle();
+      const Eigen::MatrixXd covariance = factor_covariance();
+      double sum = 0;
+      for (std::size_t f = 0; f < used_.size(); ++f)
+        if (!unlike_[used_[f]]) sum += std::pow(std::log(now_[used_[f] / kKinds].exposure), 2) + covariance(static_cast<Eigen::Index>(f), static_cast<Eigen::Index>(f));
+      const double before = spread_;
+      spread_ = std::clamp(std::sqrt(sum / static_cast<double>(varying.size())), kLeastSpread, own_.exposure_ln_sd);
+      if (std::fabs(std::log(spread_ / before)) < kSpreadStill) break;
+    }
+  }
+
+  /// -2 ln of what Laplace's approximation of the evidence has beside the misfit: how much of their priors the unknowns leave.
+  double occam() const {
+    double sum = at_.solved.vectorD().array().log().sum();
+    for (const std::size_t f : used_) sum += 2 * std::log(prior_sd_[f]);
+    return sum;
+  }
+
   /// Lights and factors in use to where they suit the samples best.
   void settle() {
     for (int round = 0; round < own_.rounds; ++round) {
@@ -73,7 +158,8 @@ class Search {
     }
   }
 
-  bool in_use(std::size_t k) const { return uses(kKinds * k + kAmbient) || uses(kKinds * k + kExposure); }
+  /// It has a factor that not all have.
+  bool in_use(std::size_t k) const { return unlike_[kKinds * k + kAmbient] || unlike_[kKinds * k + kExposure]; }
   bool uses(std::size_t factor) const { return std::find(used_.begin(), used_.end(), factor) != used_.end(); }
 
   void solve() {
@@ -88,6 +174,8 @@ class Search {
   void gather(double scale, double share) {
     const auto p = static_cast<Eigen::Index>(layout_.size()), rows = static_cast<Eigen::Index>(kKinds * now_.size()), free = static_cast<Eigen::Index>(used_.size());
     at_ = Information();
+    column_.assign(kKinds * now_.size(), -1);
+    for (std::size_t f = 0; f < used_.size(); ++f) column_[used_[f]] = static_cast<Eigen::Index>(f);
     at_.beside = Eigen::MatrixXd::Zero(rows, p + free);
     at_.own.assign(now_.size(), Eigen::Matrix2d::Zero());
     at_.gradient = Eigen::VectorXd::Zero(rows);
@@ -99,17 +187,17 @@ class Search {
     for (auto* m : {&at_.beside, &lights}) *m *= share;
     at_.gradient *= share;
     for (Eigen::Matrix2d& m : at_.own) m *= share;
-    const double weights[kKinds] = {1 / (own_.ambient_ln_sd * own_.ambient_ln_sd), 1 / (own_.exposure_ln_sd * own_.exposure_ln_sd)};
+    const auto weight = [&](std::size_t factor) { return 1 / (prior_sd_[factor] * prior_sd_[factor]); };
     for (std::size_t k = 0; k < now_.size(); ++k)
       for (std::size_t kind = 0; kind < kKinds; ++kind) {
-        at_.own[k](static_cast<Eigen::Index>(kind), static_cast<Eigen::Index>(kind)) += weights[kind];
-        at_.gradient[static_cast<Eigen::Index>(kKinds * k + kind)] -= weights[kind] * std::log(kind == kAmbient ? now_[k].ambient : now_[k].exposure);
+        at_.own[k](static_cast<Eigen::Index>(kind), static_cast<Eigen::Index>(kind)) += weight(kKinds * k + kind);
+        at_.gradient[static_cast<Eigen::Index>(kKinds * k + kind)] -= weight(kKinds * k + kind) * std::log(kind == kAmbient ? now_[k].ambient : now_[k].exposure);
       }
     at_.shared = Eigen::MatrixXd::Zero(p + free, p + free);
     at_.shared.topLeftCorner(p, p) = lights + solution_.outside;
     for (Eigen::Index f = 0; f < free; ++f) {
       const auto row = static_cast<Eigen::Index>(used_[static_cast<std::size_t>(f)]);
-      at_.beside(row, p + f) += weights[used_[static_cast<std::size_t>(f)] % kKinds];
+      at_.beside(row, p + f) += weight(used_[static_cast<std::size_t>(f)]);
       at_.shared.row(p + f) = at_.beside.row(row);
       at_.shared.block(0, p + f, p, 1) = at_.beside.block(row, 0, 1, p).transpose();
     }
@@ -140,10 +228,10 @@ class Search {
         at_.beside.row(row).head(p) += u * j.transpose();
         for (std::size_t other = 0; other < kKinds; ++other)
           at_.own[k](static_cast<Eigen::Index>(kind), static_cast<Eigen::Index>(other)) += u * effect_[t][other] * (1 - v / sum);
-        for (std::size_t f = 0; f < used_.size(); ++f)
-          for (std::size_t o = 0; o < d.r.size(); ++o)
-            if (samples[d.sample[o]].photograph == used_[f] / kKinds)
-              at_.beside(row, p + static_cast<Eigen::Index>(f)) += u * effect_[o][used_[f] % kKinds] * ((o == t ? 1.0 : 0.0) - d.w[o] * d.robust[o] / sum);
+        for (std::size_t o = 0; o < d.r.size(); ++o)
+          for (std::size_t other = 0; other < kKinds; ++other)
+            if (const Eigen::Index column = column_[kKinds * samples[d.sample[o]].photograph + other]; column >= 0)
+              at_.beside(row, p + column) += u * effect_[o][other] * ((o == t ? 1.0 : 0.0) - d.w[o] * d.robust[o] / sum);
       }
     }
   }
@@ -213,6 +301,7 @@ class Search {
       --members_;
       change[k] = {before_[k].ambient / now_[k].ambient, before_[k].exposure / now_[k].exposure};
       std::erase_if(used_, [&](std::size_t f) { return f / kKinds == k; });
+      unlike_[kKinds * k + kAmbient] = unlike_[kKinds * k + kExposure] = false;
     }
     if (!any) return false;
     apply(change);
@@ -244,8 +333,8 @@ class Search {
       added_.push_back({c.photograph, chi2});
       ++members_;
     }
-    if (c.ambient) used_.push_back(kKinds * c.photograph + kAmbient);
-    if (c.exposure) used_.push_back(kKinds * c.photograph + kExposure);
+    if (c.ambient) free_factor(kKinds * c.photograph + kAmbient);
+    if (c.exposure) free_factor(kKinds * c.photograph + kExposure);
   }
 
   /// Where a way that was tried ended.
@@ -253,8 +342,9 @@ class Search {
     Lights lights;
     double outside_misfit, scale;
     std::vector<OwnLight> own;
+    std::vector<double> prior_sd;
   };
-  Outcome outcome() const { return {solution_.lights, solution_.outside_misfit, scale_, now_}; }
+  Outcome outcome() const { return {solution_.lights, solution_.outside_misfit, scale_, now_, prior_sd_}; }
 
   /// Twice the misfit of samples, references and priors there; weights are those of where it was tried from, and the scale is one for all ways.
   double misfit(const Outcome& there, double scale) const {
@@ -270,7 +360,8 @@ class Search {
         for (std::size_t k = 0; k < d.r.size(); ++k) sum += scale * scale * std::log1p(weigh.w[k] * (d.r[k] - d.mean_r) * (d.r[k] - d.mean_r) / (scale * scale));
       }
     }
-    for (const OwnLight& own : there.own) factors += std::pow(std::log(own.ambient) / own_.ambient_ln_sd, 2) + std::pow(std::log(own.exposure) / own_.exposure_ln_sd, 2);
+    for (std::size_t k = 0; k < there.own.size(); ++k)
+      factors += std::pow(std::log(there.own[k].ambient) / there.prior_sd[kKinds * k + kAmbient], 2) + std::pow(std::log(there.own[k].exposure) / there.prior_sd[kKinds * k + kExposure], 2);
     return share_at(scale) * sum + 2 * there.outside_misfit + factors;
   }
 
@@ -313,15 +404,24 @@ class Search {
     return true;
   }
 
-  void uncertainty(OwnLights& found) const {
+  Eigen::MatrixXd follow() const {
     const auto p = static_cast<Eigen::Index>(layout_.size()), free = static_cast<Eigen::Index>(used_.size());
-    const Eigen::LDLT<Eigen::MatrixXd> lights(at_.shared.topLeftCorner(p, p));
-    const Eigen::MatrixXd follow = lights.solve(at_.shared.topRightCorner(p, free));
-    const Eigen::MatrixXd covariance = (at_.shared.bottomRightCorner(free, free) - at_.shared.bottomLeftCorner(free, p) * follow).ldlt().solve(Eigen::MatrixXd::Identity(free, free));
-    for (std::size_t f = 0; f < used_.size(); ++f)
-      if (used_[f] % kKinds == kAmbient)
-        found.of[used_[f] / kKinds].ambient_ln_sd = std::sqrt(std::max(0.0, covariance(static_cast<Eigen::Index>(f), static_cast<Eigen::Index>(f))));
-    found.lights_covariance = follow.topRows(2) * covariance * follow.topRows(2).transpose();
+    return Eigen::LDLT<Eigen::MatrixXd>(at_.shared.topLeftCorner(p, p)).solve(at_.shared.topRightCorner(p, free));
+  }
+
+  /// Of the factors in use, the lights following.
+  Eigen::MatrixXd factor_covariance() const {
+    const auto p = static_cast<Eigen::Index>(layout_.size()), free = static_cast<Eigen::Index>(used_.size());
+    return (at_.shared.bottomRightCorner(free, free) - at_.shared.bottomLeftCorner(free, p) * follow()).ldlt().solve(Eigen::MatrixXd::Identity(free, free));
+  }
+
+  void uncertainty(OwnLights& found) const {
+    const Eigen::MatrixXd covariance = factor_covariance(), lights = follow().topRows(2);
+    for (std::size_t f = 0; f < used_.size(); ++f) {
+      OwnLight& own = found.of[used_[f] / kKinds];
+      (used_[f] % kKinds == kAmbient ? own.ambient_ln_sd : own.exposure_ln_sd) = std::sqrt(std::max(0.0, covariance(static_cast<Eigen::Index>(f), static_cast<Eigen::Index>(f))));
+    }
+    found.lights_covariance = lights * covariance * lights.transpose();
   }
 
   std::vector<LightSample> samples_;
@@ -339,7 +439,10 @@ class Search {
     double chi2;
   };
   std::vector<Added> added_;   ///< in this search
-  std::vector<bool> with_flash_;
+  std::vector<bool> with_flash_, unlike_;   ///< unlike_: of each factor, one that not all photographs have
+  std::vector<double> prior_sd_;            ///< of each factor
+  std::vector<Eigen::Index> column_;        ///< of each factor among those in use; -1
+  double spread_ = 0;
   std::size_t compared_ = 0, members_ = 0;
   double independent_ = 0, residuals_ = 0, scale_ = 0;
   Information at_;
@@ -357,8 +460,8 @@ void change_own_light(LightSample& s, double ambient, double exposure) {
 }
 
 OwnLights find_own_lights(std::span<const LightSample> samples, std::span<const ReferenceSample> references, const LightSolveOptions& options, const LightSolution& solution,
-                          std::span<const OwnLight> known, const OwnLightOptions& own_options) {
-  return Search(samples, references, options, solution, known, own_options).run();
+                          std::span<const OwnLight> known, double known_spread, const OwnLightOptions& own_options) {
+  return Search(samples, references, options, solution, known, known_spread, own_options).run();
 }
 
 }  // namespace chiaro::optimize

@@ -23,6 +23,7 @@ struct Pattern {
   PatternVector already;    ///< what the samples hold
   PatternVector prior_sd;   ///< of the whole, around 0
   std::function<PatternEffect(const LightSample&)> effect;
+  double exposure_sd = 0;   ///< not 0: the brightness of each photograph is left open beside them, ln of it by so much
   Eigen::Index size() const { return already.size(); }
 };
 
@@ -33,8 +34,9 @@ struct PatternFitOptions {
 struct PatternFit {
   PatternVector value;       ///< the whole, not what is to be added
   PatternMatrix covariance;
-  Vec3d lights_step = Vec3d::Zero();   ///< of ln flash, ln ambient, bounce, beside it
-  double before = 0, after = 0;   ///< robust deviation of the residuals, in expected ones, as the samples are and with `value`
+  Eigen::VectorXd beside;    ///< steps of ln flash, ln ambient, bounce; then of ln brightness of photographs, where they are open
+  double before = 0, after = 0;   ///< robust deviation of the residuals, in expected ones, as the samples are and with the above
+  double occam = 0;          ///< -2 ln of what the openness of brightness takes off the evidence (Laplace)
   Eigen::Matrix2d lights_covariance = Eigen::Matrix2d::Zero();   ///< of ln flash and ln ambient: what they owe to the uncertainty of `value`
   /// Of `count` unknowns from `first` on being nothing.
   double chi2(Eigen::Index first, Eigen::Index count) const;
@@ -53,16 +55,25 @@ class PatternResiduals {
   double misfit(const Pattern& pattern, const PatternFit& fit, double scale) const;
 
  private:
+  static constexpr int kLights = 3;   // ln flash, ln ambient, bounce
+  using Effect = Eigen::Matrix<double, kMaxPatternUnknowns + kLights, 1>;
   struct Row {
     double residual = 0, weight = 0;
-    Eigen::Matrix<double, kMaxPatternUnknowns + 3, 1> effect = Eigen::Matrix<double, kMaxPatternUnknowns + 3, 1>::Zero();   ///< of the pattern's unknowns; then of ln flash, ln ambient, bounce
+    Effect effect = Effect::Zero();      ///< of the pattern's unknowns, then of the lights
+    double exposure = 0, in_mean = 0;    ///< of ln brightness of its photograph: on the row itself, and of the group's mean on all its rows
+    std::uint32_t photograph = 0, first = 0, count = 0;   ///< its group's rows
   };
   std::vector<Row> rows_of(const Pattern& pattern) const;
+  Eigen::Index unknowns(const Pattern& pattern) const;
+  double residual(const std::vector<Row>& rows, const Row& row, const Eigen::VectorXd& x) const;
+  double deviation(const std::vector<Row>& rows, const Eigen::VectorXd& x) const;
+  void add(const std::vector<Row>& rows, const Row& row, double weight, Eigen::MatrixXd& a, Eigen::VectorXd& b) const;
 
   std::span<const LightSample> samples_;
   const Lights& lights_;
   double independent_;
   PatternFitOptions options_;
+  std::size_t photographs_ = 0;
 };
 
 }  // namespace chiaro::optimize

@@ -380,9 +380,11 @@ class Pipeline {
     });
     shoot.lights = lights_from_json(info);
     for (const std::string& n : shoot.lights.notes) run_.note_both(n);
+    if (const double spread = shoot.lights.exposure_spread; spread > 0)
+      run_.note_both(concat("acquisition \"", a.name, "\": the brightness of its photographs varies by ", format_number(100 * spread, 2), " % (standard deviation), as of a flash that is not always the same; this was taken out before the lights were solved"));
     for (std::size_t k = 0; k < shoot.lights.own_lights.size(); ++k) {
       const optimize::OwnLight& own = shoot.lights.own_lights[k];
-      if (own.exposure != 1)
+      if (own.unlike)
         run_.note_both(concat(input.names[k], ": ", format_number(own.exposure, 3), " times as bright as the other photographs of its acquisition say; this was taken out before the lights were solved"));
       if (own.ambient != 1) run_.note_both(concat(input.names[k], ": ambient light ", format_number(own.ambient, 3), " times that of the others, corrected"));
     }
@@ -506,6 +508,7 @@ class Pipeline {
       if (own.ambient != 1) a["ambient_factors"][p.input->key] = {{"factor", own.ambient}, {"sd", own.ambient * own.ambient_ln_sd}};
     }
     if (const Vec3d& shift = lights.pattern.flash_shift; !shift.isZero()) a["flash_shift_in_camera"] = {shift[0], shift[1], shift[2]};
+    if (lights.exposure_spread > 0) a["exposure_spread"] = lights.exposure_spread;
     if (!lights.pattern.falloff.none()) a["falloff"] = falloff_json(lights.pattern.falloff);
     a["how"] = how_found(shoot);
     const Acquisition& input = *shoot.acquisition;

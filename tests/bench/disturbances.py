@@ -126,6 +126,15 @@ def overexposed(scene, copy, times):
     scene_copy.write_exr(copy / "photos" / photo.name, np.minimum(picture * times, np.quantile(picture, 0.9999)))
 
 
+def exposures(scene, copy, sd):
+    """Each photograph brighter or darker by a factor of its own, as flashes that have not recharged make them: ln of it with that deviation, mean 0."""
+    photos = photographs_of(scene)
+    ln = np.random.default_rng(SEED).normal(size=len(photos))
+    ln = sd * (ln - ln.mean()) / ln.std()
+    for photo, by in zip(photos, np.exp(ln)):
+        scene_copy.write_exr(copy / "photos" / photo.name, scene_copy.read_exr(photo) * by)
+
+
 def vignetting(scene, copy, lost):
     """All photographs through a lens that loses that share of the light in the corners, with the square of the distance from the middle."""
     for photo in photographs_of(scene):
@@ -137,21 +146,23 @@ def vignetting(scene, copy, lost):
 
 
 def flash_pattern(scene, copy, lost):
-    """All photographs with a flash that sends less off its axis (the camera's), by that share in the direction of the corners, with the square of the angle's tangent. Only what it lights directly."""
+    """All photographs with a flash that sends less off its axis (the camera's), by that share in the direction of the corners, with the square of the angle's tangent. What surfaces throw on each other is
+    weaker by what the light that they receive is, in the mean over the picture."""
     camera = [l for l in (scene / "sparse/cameras.txt").read_text().splitlines() if not l.startswith("#")][0].split()
     fx, fy, cx, cy = map(float, camera[4:8])
     offset = np.array([float(v) for v in re.search(r"offset_in_camera\s*=\s*\[([^\]]*)\]", (scene / "project.toml").read_text()).group(1).split(",")])
     for photo in photographs_of(scene):
         picture = scene_copy.read_exr(photo)
         depth, terms = scene_copy.read_exr_channel(scene / "truth" / (photo.stem + "_depth.exr")), scene_copy.read_exr(scene / "truth" / (photo.stem + "_share.exr"))
-        direct = terms[..., 0] / np.maximum(terms.sum(-1), 1e-9)   # radiance of the flash alone, of what it lights beside, of the ambient light
+        direct, thrown = (terms[..., c] / np.maximum(terms.sum(-1), 1e-9) for c in range(2))   # of the radiance: the flash's, and what it lights beside
         y, x = np.mgrid[0 : picture.shape[0], 0 : picture.shape[1]] + 0.5
         ray = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], -1)
         from_flash = ray * (depth / np.linalg.norm(ray, axis=-1))[..., None] - offset
         corner = (picture.shape[1] / 2 / fx) ** 2 + (picture.shape[0] / 2 / fy) ** 2
         square = (from_flash[..., 0] ** 2 + from_flash[..., 1] ** 2) / np.maximum(from_flash[..., 2], 1e-6) ** 2 / corner
         keeps = np.where(depth > 0, 1 - lost * np.clip(square, 0, 1.2), 1)
-        scene_copy.write_exr(copy / "photos" / photo.name, picture * (1 - direct * (1 - keeps))[..., None])
+        mean = (terms[..., 0] * keeps).sum() / terms[..., 0].sum()
+        scene_copy.write_exr(copy / "photos" / photo.name, picture * (1 - direct * (1 - keeps) - thrown * (1 - mean))[..., None])
 
 
 def through_lens(picture, depth, focal_px, aperture, distance):
@@ -197,6 +208,7 @@ ALL = {
     "read_noise": (read_noise, "times the read noise, declared", [3, 10], 1),
     "interval": (interval, "times the calibrated range", [1 / 1.2, 1 / 1.1, 1.1, 1.2], 1),
     "ambient": (ambient, "times the ambient light, first photograph", [1.5, 2], 1),
+    "exposures": (exposures, "rms of ln, each photograph its own", [0.02, 0.05, 0.1], 0),
     "vignetting": (vignetting, "of the light lost in the corners", [0.15, 0.3], 0),
     "flash_pattern": (flash_pattern, "of the flash lost towards the corners", [0.2, 0.4], 0),
     "defocus": (defocus, "mm of aperture, focus at the median depth, declared", [6, 12], 0),

@@ -276,6 +276,20 @@ TEST_F(BadInput, AFlashBesideItsPlaceIsFound) {
   EXPECT_LE(error_of(s).absolute, 0.01);
 }
 
+TEST_F(BadInput, AFlashThatIsNotAlwaysTheSameIsFollowed) {
+  TinySceneOptions options;
+  options.photographs = 5;
+  const TinyScene s = scene(options);
+  const double ln[] = {0.04, -0.03, 0.02, -0.045, 0.015};
+  for (int k = 0; k < 5; ++k) change(s, k, [&](float v, std::size_t) { return v * static_cast<float>(std::exp(ln[k])); });
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("the brightness of its photographs varies by"));
+  EXPECT_NEAR(lights().at("exposure_spread").get<double>(), 0.035, 0.015);
+  EXPECT_NEAR(lights().at("exposures").at("photo_00").get<double>() / lights().at("exposures").at("photo_03").get<double>(), std::exp(0.085), 0.01);
+  EXPECT_LE(error_of(s).absolute, 0.02);
+}
+
 TEST_F(BadInput, AVignetteIsTakenOff) {
   TinySceneOptions options;
   options.photographs = 4;

@@ -18,6 +18,7 @@ struct Wrong {
   double lens_loss = 0, flash_loss = 0;   ///< in the corners; by other formulas than the program's
   double tilt = 0;               ///< of the flash's intensity, from one side to the other
   double noise = 0.01;
+  std::vector<double> brightness{0, 0, 0, 0};   ///< ln of each photograph's
 };
 
 /// A rough floor under four flashes beside four cameras that look down at it from above the middle of its parts; camera axes are the world's, turned to look down. Samples hold the flash at its said place and even.
@@ -46,7 +47,7 @@ std::vector<LightSample> samples_with(const Wrong& wrong, const Lights& lights) 
       const double sends = std::exp(wrong.tilt * lit.x()) * std::pow(1 - wrong.flash_loss, lit.squaredNorm());
       const double keeps = std::pow(1 + (1 / std::sqrt(1 - wrong.lens_loss) - 1) * seen.squaredNorm(), -2);
       const double h = lights.flash_intensity * static_cast<double>(s.flash) * flash_factor(place, normal, flash, flash + look_down.transpose() * wrong.shift) * sends + lights.sky[0] * 3;
-      s.radiosity.fill(static_cast<float>(0.4 * h * keeps * std::exp(wrong.noise * normal01(4, Purpose::kTest, 10 * i + k, 0))));
+      s.radiosity.fill(static_cast<float>(0.4 * h * keeps * std::exp(wrong.brightness[k] + wrong.noise * normal01(4, Purpose::kTest, 10 * i + k, 0))));
       samples.push_back(s);
     }
   }
@@ -126,6 +127,27 @@ TEST(LightPattern, AFalloffAndAShiftAreToldApart) {
   EXPECT_TRUE(found.falloff.of_lens());
   EXPECT_NEAR(lens_factor(found.falloff, {1, 0}), 0.7, 0.04);
   EXPECT_LE((found.flash_shift - wrong.shift).norm(), 0.006) << found.flash_shift.transpose();
+}
+
+TEST(LightPattern, AFlashThatIsNeverTheSameIsNoPattern) {
+  Wrong wrong;
+  wrong.brightness = {0.04, -0.05, 0.03, -0.02};
+  const LightPattern found = pattern_of(wrong);
+  EXPECT_EQ(found.flash_shift.norm(), 0);
+  EXPECT_TRUE(found.falloff.none());
+}
+
+TEST(LightPattern, IsFoundBesideAFlashThatIsNeverTheSame) {
+  Wrong wrong;
+  wrong.brightness = {0.04, -0.05, 0.03, -0.02};
+  wrong.lens_loss = 0.3;
+  const LightPattern found = pattern_of(wrong);
+  ASSERT_TRUE(found.falloff.of_lens());
+  EXPECT_NEAR(lens_factor(found.falloff, {1, 0}), 0.7, 0.03);
+  EXPECT_EQ(found.flash_shift.norm(), 0);
+  LightPatternOptions options;
+  options.exposure_spread = 0.04;   // as it is known by then
+  EXPECT_NEAR(lens_factor(pattern_of(wrong, options).falloff, {1, 0}), 0.7, 0.03);
 }
 
 TEST(LightPattern, WhatTheProjectRulesOutIsNotLookedFor) {
