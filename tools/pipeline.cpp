@@ -376,7 +376,7 @@ class Pipeline {
       if (own.ambient != 1) run_.note_both(concat(input.names[k], ": ambient light ", format_number(own.ambient, 3), " times that of the others, corrected"));
     }
     if (shoot.lights.proxy_seen == 0 && input.method != Method::kDirect && input.method != Method::kAdam)
-      throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph; are cameras and cloud in the same frame, and do the cloud's normals point outwards (cloud.normals = \"estimate\" does without them)?"));
+      throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph: ", kNothingSeenHint));
   }
 
   std::vector<std::string> keys_in_lights(std::size_t lead) const {

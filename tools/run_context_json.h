@@ -39,6 +39,9 @@ struct Shoot {
   optimize::AcquisitionResult lights;
 };
 
+/// What to look at where photographs and cloud have nothing in common: the end of a message.
+inline constexpr std::string_view kNothingSeenHint = "are cameras and cloud in the same frame, and do the cloud's normals point outwards (cloud.normals = \"estimate\" does without them)?";
+
 /// Begins the key of a stage: with the version of the pipeline, raised when a stage's result changes for the same inputs.
 Hasher keyed(std::string_view stage);
 
