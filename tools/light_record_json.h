@@ -11,6 +11,8 @@ nlohmann::ordered_json evidence_json(const std::vector<optimize::SkyEvidence>& e
 nlohmann::ordered_json error_json(const optimize::ErrorModel& e);
 /// null: Lambert's surfaces.
 nlohmann::ordered_json gloss_json(const optimize::Gloss& g);
+/// A list of rows.
+nlohmann::ordered_json covariance_json(const optimize::LightSolution& s);
 nlohmann::ordered_json light_json(const optimize::AcquisitionResult& r);
 /// Of light_json(). throws nlohmann's exceptions where it is something else.
 optimize::AcquisitionResult lights_from_json(const nlohmann::ordered_json& j);

@@ -23,10 +23,10 @@
 #include "surfels/gbuffer.h"
 #include "tools/ingest.h"
 #include "tools/light_record_json.h"
-#include "tools/light_spread_json.h"
 #include "tools/resources.h"
 #include "tools/run_context_json.h"
 #include "tools/run_layer.h"
+#include "tools/run_lights.h"
 #include "tools/table.h"
 
 namespace chiaro::tools {
@@ -100,7 +100,7 @@ class Pipeline {
       for (Shoot& shoot : shoots_)
         if (shoot.has_flash()) solve_albedo(store, shoot);
     }
-    write_lights();
+    write_run_lights(run_, shoots_);
     write_run_layer(run_, store, shoots_);
     std::error_code code;
     std::filesystem::remove_all(run_.folder.scratch(), code);
@@ -432,104 +432,6 @@ class Pipeline {
         return Json::object();
       });
     }
-  }
-
-  void write_lights() {
-    Json all = Json::array();
-    for (const Shoot& shoot : shoots_) {
-      Json a{{"acquisition", shoot.acquisition->name}, {"method", name_of(run_.project.method)}};
-      if (run_.project.method == SolveMethod::kNone) {
-        a["how"] = "photographs taken as the colour itself; no light was solved";
-      } else if (!shoot.has_flash()) {
-        a["lights_of"] = shoots_[shoot.lead].acquisition->name;
-        a["how"] = concat("taken without flash: measures the ambient light of \"", shoots_[shoot.lead].acquisition->name, "\"");
-      } else {
-        if (&shoot != &shoots_[shoot.lead]) a["lights_of"] = shoots_[shoot.lead].acquisition->name;
-        describe_lights(shoot, a);
-      }
-      all.push_back(a);
-    }
-    write_text(run_.folder.lights(), Json{{"acquisitions", all}}.dump(1) + "\n");
-  }
-
-  void describe_lights(const Shoot& shoot, Json& a) const {
-    const optimize::AcquisitionResult& lights = shoots_[shoot.lead].lights;
-    const auto one = [&](const optimize::LightSolution& s, const optimize::ErrorModel& errors) {
-      const double ln_sd = s.covariance.rows() > 0 ? std::sqrt(std::max(0.0, s.covariance(0, 0))) : 0;
-      const int sky = s.sky_terms;
-      const double ambient_sd = sky > 0 ? std::sqrt(std::max(0.0, s.covariance(1, 1) + s.ambient_open)) : 0;
-      std::vector<std::string> names{"ln_flash_intensity"};
-      for (int k = 0; k < sky; ++k) names.push_back("sky_" + std::to_string(k));
-      if (s.sky_colour) names.insert(names.end(), {"ln_sky_red", "ln_sky_blue"});
-      if (s.lights.floor) names.push_back("floor_albedo");
-      if (s.lights.gloss.on) names.insert(names.end(), {"ln_gloss_reflectance", "ln_gloss_roughness"});
-      names.push_back("bounce");
-      Json covariance = Json::array();
-      for (Eigen::Index i = 0; i < s.covariance.rows(); ++i) {
-        Json row = Json::array();
-        for (Eigen::Index j = 0; j < s.covariance.cols(); ++j) row.push_back(s.covariance(i, j));
-        covariance.push_back(row);
-      }
-      Json found{{"flash_intensity", s.lights.flash_intensity}, {"flash_intensity_sd", ln_sd * s.lights.flash_intensity},
-                  {"ambient", s.lights.sky[0]}, {"ambient_sd", ambient_sd}, {"sky", s.lights.sky},
-                  {"sky_colour", s.lights.sky_colour}, {"sky_basis", "1, y, z, x, xy, yz, 3z^2-1, xz, x^2-y^2 of the world direction"}, {"bounce", s.lights.bounce},
-                  {"covariance_of", names}, {"covariance", covariance},
-                  {"allowed", {{"flash_intensity", {s.lights.flash_intensity * std::exp(-2 * ln_sd), s.lights.flash_intensity * std::exp(2 * ln_sd)}},
-                               {"ambient", {std::max(0.0, s.lights.sky[0] - 2 * ambient_sd), s.lights.sky[0] + 2 * ambient_sd}}}},
-                  {"absolute_scale", s.scale_known ? "calibrated" : "from interreflections and a guess of the brightest albedo: trust ratios, not the scale"},
-                  {"scatter_of_ln_albedo", s.scatter}, {"samples", s.samples}, {"converged", s.converged}};
-      found["errors"] = error_json(errors);
-      found["open_direction"] = to_json(light_spread(s));
-      if (s.lights.gloss.on) found["gloss"] = gloss_json(s.lights.gloss);
-      if (s.lights.floor) found["floor_albedo"] = s.lights.floor_albedo;
-      return found;
-    };
-    a["sky_model"] = lights.sky_model;
-    if (!lights.sky_evidence.empty()) a["sky_evidence"] = evidence_json(lights.sky_evidence);
-    if (lights.gloss_evidence) a["gloss_evidence"] = *lights.gloss_evidence;
-    a["proxy_surfels"] = lights.proxy_surfels;
-    for (const Photo& p : shoot.photos) {
-      if (p.index_in_lights >= lights.own_lights.size()) continue;
-      const optimize::OwnLight& own = lights.own_lights[p.index_in_lights];
-      if (own.exposure != 1) a["exposures"][p.input->key] = own.exposure;
-      if (own.ambient != 1) a["ambient_factors"][p.input->key] = {{"factor", own.ambient}, {"sd", own.ambient * own.ambient_ln_sd}};
-    }
-    if (const Vec3d& shift = lights.flash_shift; !shift.isZero()) a["flash_shift_in_camera"] = {shift[0], shift[1], shift[2]};
-    a["how"] = how_found(shoot);
-    const Acquisition& input = *shoot.acquisition;
-    if (input.flash->intensity_range) a["calibrated_range"] = *input.flash->intensity_range;
-    a["references"] = input.references.size();
-    if (lights.lights.size() == 1) {
-      a.update(one(lights.lights[0], lights.errors[0]));
-      return;
-    }
-    Json each = Json::array();
-    for (std::size_t k = 0; k < shoot.photos.size() && !lights.lights.empty(); ++k) {
-      Json j{{"photograph", shoot.photos[k].input->key}};
-      const std::size_t which = lights.light_of_photograph[shoot.photos[k].index_in_lights];
-      j.update(one(lights.lights[which], lights.errors[which]));
-      each.push_back(j);
-    }
-    a["photographs"] = each;
-  }
-
-  std::string how_found(const Shoot& shoot) const {
-    std::size_t n = 0, without_flash = 0;
-    for (const Shoot& other : shoots_)
-      if (other.lead == shoot.lead) (other.has_flash() ? n : without_flash) += other.photos.size();
-    const std::string dark = without_flash > 0 ? concat(" and ", without_flash, " without flash") : std::string();
-    switch (run_.project.method) {
-      case SolveMethod::kJoint:
-        if (shoots_[shoot.lead].lights.lights.size() > 1) return "each photograph by itself, as they show too few places in common: log ratios of pairs of surfels of like chroma";
-        return n + without_flash > 1 ? concat("jointly over ", n, " photographs", dark, ": log ratios of surfels seen at least twice") : std::string("one photograph: log ratios of pairs of surfels of like chroma");
-      case SolveMethod::kSingle:
-        if (without_flash > 0) return concat("each photograph by itself", dark, ": log ratios of surfels seen at least twice");
-        return "each photograph by itself: log ratios of pairs of surfels of like chroma";
-      case SolveMethod::kAdam: return "each photograph by itself: one-dimensional search of the flash, then Adam over albedo, flash and ambient; the result depends on its start";
-      case SolveMethod::kDirect: return "not solved: the middle of the calibrated range, no ambient, no bounces";
-      case SolveMethod::kNone: break;
-    }
-    return "";
   }
 
   RunContext run_;
