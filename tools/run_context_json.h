@@ -56,6 +56,8 @@ struct RunContext {
 
   /// On the console and in the record.
   void note_both(const std::string& text);
+  /// Says so, enters it in the record, and removes the pictures that an earlier run made of the photograph.
+  void leave_out(const PhotographInput& photograph, const std::string& reason);
   /// Runs a task and enters it in the record.
   nlohmann::ordered_json task(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs, const std::function<nlohmann::ordered_json()>& body);
   optimize::ObserveInput observe_input(const Shoot& shoot, const Photo& photo) const;
