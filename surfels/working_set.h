@@ -17,7 +17,7 @@ struct View {
   stream::Lens lens;
   stream::Pose pose;
   PixelRect rect;                     ///< the part of the image that is looked at
-  std::vector<Vec3d> lights_in_world; ///< points (the flash) from which the visible surface is seen too: their occluders are kept
+  std::vector<Vec3d> lights_in_world; ///< points (the flash) from which the visible surface is seen too, wherever they stand: their occluders are kept
 };
 
 struct CutOptions {
@@ -36,7 +36,9 @@ struct WorkingSet {
   bool complete = true;               ///< false: max_bytes was reached, split the rectangle
 };
 
-/// The cut for rays that start in the view's pixels and for shadow rays to its lights.
+/// The cut for rays that start in the view's pixels and for shadow rays to its lights. The level of a chunk does not depend on the rectangle: it is that of its distance from the
+/// camera, or of twice its distance from a light where that is less. So the edge of a shadow is known to two pixels or so where the light is no farther from what it lights than the
+/// camera is; else to as many more as it is farther, for what stands nearer to the light than to the surface (the G-buffer's `penumbra` says how many).
 WorkingSet select_visible(const stream::Store& store, const View& view, const CutOptions& options, MemoryBudget& budget, Reporter& report);
 
 /// A cut of the whole scene for light transport: finest where the photographs see most detail (the level is chosen by solid angle seen from the

@@ -13,6 +13,7 @@
 #include "stream/base/error.h"
 #include "stream/cloud/point_stream.h"
 #include "tools/colour_source.h"
+#include "tools/colour_spaces.h"
 #include "tools/compare_picture.h"
 #include "tools/metrics.h"
 #include "tools/table.h"

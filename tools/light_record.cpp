@@ -52,17 +52,21 @@ optimize::Falloff falloff_from_json(const Json& j) {
 
 Json gloss_json(const optimize::Gloss& g) { return g.on ? Json{{"reflectance", g.reflectance}, {"roughness", g.roughness}} : Json(); }
 
+Json covariance_json(const optimize::LightSolution& s) {
+  Json covariance = Json::array();
+  for (Eigen::Index i = 0; i < s.covariance.rows(); ++i) {
+    Json row = Json::array();
+    for (Eigen::Index j = 0; j < s.covariance.cols(); ++j) row.push_back(s.covariance(i, j));
+    covariance.push_back(row);
+  }
+  return covariance;
+}
+
 Json light_json(const optimize::AcquisitionResult& r) {
   Json lights = Json::array();
   for (const optimize::LightSolution& s : r.lights) {
-    Json covariance = Json::array();
-    for (Eigen::Index i = 0; i < s.covariance.rows(); ++i) {
-      Json row = Json::array();
-      for (Eigen::Index j = 0; j < s.covariance.cols(); ++j) row.push_back(s.covariance(i, j));
-      covariance.push_back(row);
-    }
     lights.push_back({{"flash_intensity", s.lights.flash_intensity}, {"sky", s.lights.sky}, {"sky_colour", s.lights.sky_colour}, {"bounce", s.lights.bounce},
-                      {"gloss", gloss_json(s.lights.gloss)}, {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"floor", s.lights.floor}, {"floor_albedo", s.lights.floor_albedo}, {"covariance", covariance}, {"ambient_open", s.ambient_open}, {"scatter", s.scatter},
+                      {"gloss", gloss_json(s.lights.gloss)}, {"sky_terms", s.sky_terms}, {"sky_coloured", s.sky_colour}, {"floor", s.lights.floor}, {"floor_albedo", s.lights.floor_albedo}, {"covariance", covariance_json(s)}, {"ambient_open", s.ambient_open}, {"scatter", s.scatter},
                       {"groups", s.groups}, {"samples", s.samples}, {"iterations", s.iterations}, {"converged", s.converged}, {"scale_known", s.scale_known}});
   }
   Json errors = Json::array();

@@ -14,6 +14,8 @@ nlohmann::ordered_json gloss_json(const optimize::Gloss& g);
 /// null: none.
 nlohmann::ordered_json falloff_json(const optimize::Falloff& f);
 optimize::Falloff falloff_from_json(const nlohmann::ordered_json& j);
+/// A list of rows.
+nlohmann::ordered_json covariance_json(const optimize::LightSolution& s);
 nlohmann::ordered_json light_json(const optimize::AcquisitionResult& r);
 /// Of light_json(). throws nlohmann's exceptions where it is something else.
 optimize::AcquisitionResult lights_from_json(const nlohmann::ordered_json& j);

@@ -1,6 +1,5 @@
 /// How alike two pictures are: MSE, PSNR, SSIM, FLIP, relative error; and colour difference after CIEDE2000. Definitions: docs/metrics.md.
 #pragma once
-#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -55,14 +54,7 @@ FlipResult flip(const PixelView& test, const PixelView& reference, MaskView mask
 /// Rec. 709 luminance of linear RGB: one value a pixel. 3 channels.
 std::vector<float> luminance(const PixelView& rgb);
 
-/// CIE L*a*b* (D65 white) of linear RGB with sRGB primaries.
-std::array<double, 3> lab_from_linear(const std::array<double, 3>& rgb);
-
-/// Colour difference of two Lab colours with kL = kC = kH = 1.
-/// source  Sharma, Wu, Dalal, "The CIEDE2000 color-difference formula: implementation notes, supplementary test data, …", 2005.
-double delta_e_2000(const std::array<double, 3>& lab_1, const std::array<double, 3>& lab_2);
-
-/// Mean of delta_e_2000 over masked pixels; 3 channels, linear.
+/// Mean of CIEDE2000 (tools/colour_spaces.h) over masked pixels; 3 channels, linear.
 double mean_delta_e_2000(const PixelView& test, const PixelView& reference, MaskView mask = {});
 
 }  // namespace chiaro::tools

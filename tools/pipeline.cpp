@@ -1,89 +1,24 @@
 #include "tools/pipeline.h"
 
-#include <algorithm>
-#include <array>
-#include <cmath>
-#include <map>
 #include <nlohmann/json.hpp>
-#include <set>
 
-#include "optimize/acquisition.h"
-#include "optimize/albedo.h"
-#include "optimize/pictures.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/base/hash.h"
 #include "stream/cloud/filtered.h"
-#include "stream/photo/camera_files.h"
-#include "stream/photo/develop.h"
-#include "stream/photo/image_io.h"
-#include "stream/photo/raster.h"
 #include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
-#include "surfels/gbuffer.h"
 #include "tools/ingest.h"
-#include "tools/light_record_json.h"
-#include "tools/light_spread_json.h"
-#include "tools/resources.h"
 #include "tools/run_context_json.h"
 #include "tools/run_layer.h"
-#include "tools/table.h"
+#include "tools/run_lights.h"
+#include "tools/run_photographs.h"
+#include "tools/run_solve.h"
 
 namespace chiaro::tools {
 namespace {
 
 using Json = nlohmann::ordered_json;
-using optimize::Method;
-
-Hasher& add_camera(Hasher& h, const stream::Camera& c) {
-  const stream::Lens& l = c.lens;
-  h.add(static_cast<std::uint64_t>(l.kind)).add(static_cast<std::uint64_t>(l.width_px)).add(static_cast<std::uint64_t>(l.height_px));
-  for (const double v : {l.fx, l.fy, l.cx, l.cy, l.skew}) h.add(v);
-  for (const double v : l.k) h.add(v);
-  for (const double v : l.p) h.add(v);
-  for (int i = 0; i < 9; ++i) h.add(c.pose.rotation_camera_from_world.data()[i]);
-  for (int i = 0; i < 3; ++i) h.add(c.pose.translation_camera_from_world[i]);
-  if (c.focus.aperture > 0) h.add("focus").add(c.focus.aperture).add(c.focus.distance);
-  return h;
-}
-
-stream::Encoding develop_encoding(Encoding e) {
-  switch (e) {
-    case Encoding::kSrgb: return stream::Encoding::kSrgb;
-    case Encoding::kRaw: return stream::Encoding::kRaw;
-    default: return stream::Encoding::kLinear;
-  }
-}
-
-Method solve_method(SolveMethod m) {
-  switch (m) {
-    case SolveMethod::kSingle: return Method::kSingle;
-    case SolveMethod::kAdam: return Method::kAdam;
-    case SolveMethod::kDirect: return Method::kDirect;
-    default: return Method::kJoint;
-  }
-}
-
-optimize::SkyModel sky_model(AmbientModel m) {
-  switch (m) {
-    case AmbientModel::kNone: return optimize::SkyModel::kNone;
-    case AmbientModel::kUniform: return optimize::SkyModel::kUniform;
-    case AmbientModel::kSh1: return optimize::SkyModel::kSh1;
-    case AmbientModel::kSh2: return optimize::SkyModel::kSh2;
-    case AmbientModel::kAuto: break;
-  }
-  return optimize::SkyModel::kAuto;
-}
-
-optimize::FalloffModel falloff_model(FalloffModel m) {
-  switch (m) {
-    case FalloffModel::kNone: return optimize::FalloffModel::kNone;
-    case FalloffModel::kLens: return optimize::FalloffModel::kLens;
-    case FalloffModel::kFlash: return optimize::FalloffModel::kFlash;
-    case FalloffModel::kAuto: break;
-  }
-  return optimize::FalloffModel::kAuto;
-}
 
 class Pipeline {
  public:
@@ -95,22 +30,23 @@ class Pipeline {
     write_text(run_.folder.project(), to_json(run_.project) + "\n");
     for (const std::string& note : run_.project.notes) run_.note_both(note);
     ingest();
-    read_all_cameras();
+    shoots_ = read_shoots(run_);
     const stream::Store store(run_.folder.store());
     count_points(store);
+    PhotographStages photographs(run_, shoots_);
     for (Shoot& shoot : shoots_) {
-      develop(shoot);
-      raycast(store, shoot);
-      if (run_.project.method == SolveMethod::kNone) take_colour(shoot);
+      photographs.develop(shoot);
+      photographs.raycast(store, shoot);
+      if (run_.project.method == SolveMethod::kNone) take_colour(run_, shoot);
     }
-    note_backs();
+    photographs.note_backs();
     if (run_.project.method != SolveMethod::kNone) {
       for (std::size_t i = 0; i < shoots_.size(); ++i)
-        if (shoots_[i].lead == i) solve_lights(store, i);
+        if (shoots_[i].lead == i) solve_lights(run_, store, shoots_, i);
       for (Shoot& shoot : shoots_)
-        if (shoot.has_flash()) solve_albedo(store, shoot);
+        if (shoot.has_flash()) solve_albedo(run_, store, shoots_, shoot);
     }
-    write_lights();
+    write_run_lights(run_, shoots_);
     write_run_layer(run_, store, shoots_);
     std::error_code code;
     std::filesystem::remove_all(run_.folder.scratch(), code);
@@ -152,7 +88,6 @@ class Pipeline {
 
   void count_points(const stream::Store& store) {
     const stream::Manifest& m = store.manifest();
-    store_key_ = m.key;
     run_.record.count("points_in", m.points_read);
     run_.record.count("points_stored", m.points_stored);
     for (const auto& [reason, n] : m.points_rejected) {
@@ -162,395 +97,7 @@ class Pipeline {
     }
   }
 
-  void read_all_cameras() {
-    for (const Acquisition& a : run_.project.acquisitions) {
-      Shoot shoot;
-      shoot.acquisition = &a;
-      shoot.lead = a.lights_of.value_or(shoots_.size());
-      if (a.lights_of && a.exposure_s) shoot.ambient_scale = *a.exposure_s / *run_.project.acquisitions[*a.lights_of].exposure_s;
-      if (a.role == AcquisitionRole::kNoFlash && run_.project.method == SolveMethod::kNone) {
-        for (const PhotographInput& p : a.photographs) leave_out(p, "taken without flash, and no light is solved");
-        shoots_.push_back(std::move(shoot));
-        continue;
-      }
-      std::vector<std::string> notes;
-      const std::vector<stream::Camera> cameras = stream::read_cameras(a.cameras, notes);
-      for (const std::string& n : notes) run_.note_both(n);
-      for (std::size_t i = 0; i < a.photographs.size(); ++i) {
-        const PhotographInput& p = a.photographs[i];
-        const stream::Camera* camera = stream::find_camera(cameras, p.file.string());
-        if (!camera) {
-          leave_out(p, concat("no camera in ", a.cameras.filename().string()));
-          continue;
-        }
-        Photo photo;
-        photo.input = &p;
-        photo.index_in_acquisition = i;
-        photo.camera = *camera;
-        photo.camera.photograph = p.key;
-        if (a.focus) photo.camera.focus = {a.focus->focal_length / a.focus->f_number, a.focus->distance};
-        shoot.photos.push_back(std::move(photo));
-      }
-      shoots_.push_back(std::move(shoot));
-    }
-    require_photographs();
-  }
-
-  void leave_out(const PhotographInput& p, const std::string& reason) {
-    run_.report.note(concat(p.file.filename().string(), ": left out: ", reason));
-    run_.record.left_out("photograph", p.key, reason);
-    // What an earlier run made of it is no result any more.
-    const std::filesystem::path pictures = run_.folder.pictures(p.key);
-    std::error_code code;
-    for (const char* name : {"albedo.exr", "sigma.exr", "light.exr", "residual.exr"}) std::filesystem::remove(pictures / name, code);
-    std::filesystem::remove(pictures, code);
-  }
-
-  void require_photographs() const {
-    if (std::all_of(shoots_.begin(), shoots_.end(), [](const Shoot& s) { return s.photos.empty(); }))
-      throw Error("no photograph is left to work with: see the notes above for what each one lacks");
-  }
-
-  void develop(Shoot& shoot) {
-    const Acquisition& a = *shoot.acquisition;
-    std::vector<Photo> kept;
-    for (Photo& photo : shoot.photos) {
-      try {
-        develop_one(a, photo);
-        kept.push_back(std::move(photo));
-      } catch (const UsageError&) {
-        throw;
-      } catch (const Error& e) {
-        // A photograph that cannot be read is left out and named; a disk or memory that is full stops the run.
-        if (std::string_view(e.what()).find("no space left") != std::string_view::npos || std::string_view(e.what()).find("memory budget") != std::string_view::npos) throw;
-        leave_out(*photo.input, e.what());
-      }
-    }
-    shoot.photos = std::move(kept);
-    tell_development_notes();
-    require_photographs();
-  }
-
-  /// What is said of many photographs alike is said once.
-  void tell_development_notes() {
-    constexpr std::size_t kNamed = 3;
-    for (const auto& [text, files] : development_notes_) {
-      std::string names;
-      for (std::size_t i = 0; i < std::min(files.size(), kNamed); ++i) names += (i > 0 ? ", " : "") + files[i];
-      if (files.size() > kNamed) names += concat(" and ", files.size() - kNamed, " more");
-      run_.note_both(concat(names, ": ", text));
-    }
-    development_notes_.clear();
-  }
-
-  void develop_one(const Acquisition& a, Photo& photo) {
-    const PhotographInput& p = *photo.input;
-    const std::string fingerprint = file_fingerprint(p.file);
-    Hasher h = keyed("develop");
-    h.add(fingerprint).add(static_cast<std::uint64_t>(a.encoding));
-    h.add(p.mask.empty() ? std::string("-") : file_fingerprint(p.mask));
-    h.add(a.noise ? a.noise->gain : -1.0).add(a.noise ? a.noise->read_sigma : -1.0);
-    h.add(std::uint64_t{run_.project.method != SolveMethod::kNone});
-    photo.radiance_key = h.hex();
-    const Json info = run_.task("develop/" + p.key, photo.radiance_key, {run_.folder.radiance(p.key)}, [&] {
-      stream::DevelopOptions options;
-      options.encoding = develop_encoding(a.encoding);
-      if (!p.mask.empty()) options.mask = p.mask;
-      options.find_clipping = run_.project.method != SolveMethod::kNone;   // there a picture is the colour itself, and may be of one
-      if (a.noise) options.noise = stream::NoiseModel{a.noise->gain, a.noise->read_sigma, false};
-      const stream::DevelopResult r = stream::develop(p.file, options, run_.folder.radiance(p.key), run_.report);
-      return Json{{"width", r.width_px}, {"height", r.height_px}, {"noise_gain", r.noise.gain}, {"noise_read_sigma", r.noise.read_sigma}, {"noise_estimated", r.noise.estimated},
-                  {"pixels_used", r.pixels_used}, {"pixels_masked", r.pixels_masked}, {"pixels_saturated", r.pixels_saturated}, {"pixels_not_finite", r.pixels_not_finite},
-                  {"notes", r.notes}};
-    });
-    run_.record.input(p.file, fingerprint);
-    for (const auto& note : info["notes"]) {
-      const std::string text = note.get<std::string>(), name = p.file.filename().string();
-      if (text.starts_with(name)) run_.record.note(text);   // of this one alone
-      else development_notes_[text].push_back(name);
-    }
-    if (info["pixels_used"] == 0) throw Error("no usable pixel: everything is masked, saturated or not finite");
-    photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
-    photo.camera.lens = stream::scaled_to(photo.camera.lens, info["width"], info["height"], p.file.string());
-  }
-
-  void raycast(const stream::Store& store, Shoot& shoot) {
-    const Acquisition& a = *shoot.acquisition;
-    std::vector<Photo> kept;
-    for (Photo& photo : shoot.photos) {
-      surfels::GBufferOptions options;
-      if (run_.project.method != SolveMethod::kNone && shoot.has_flash()) options.flash_in_camera = a.flash->offset_in_camera;
-      options.mask_raster = run_.folder.radiance(photo.input->key);
-      Hasher h = keyed("raycast");
-      h.add(store_key_).add(photo.radiance_key);
-      add_camera(h, photo.camera);
-      h.add(static_cast<std::uint64_t>(options.subpixels)).add(options.cut.pixel_error);
-      h.add(options.flash_in_camera ? std::uint64_t{1} : std::uint64_t{0});
-      if (options.flash_in_camera)
-        for (int i = 0; i < 3; ++i) h.add((*options.flash_in_camera)[i]);
-      photo.gbuffer_key = h.hex();
-      const Json info = run_.task("raycast/" + photo.input->key, photo.gbuffer_key, {run_.folder.gbuffer(photo.input->key)}, [&] {
-        const surfels::GBufferStats s = surfels::write_gbuffer(store, photo.camera, options, run_.folder.gbuffer(photo.input->key), run_.budget, run_.report);
-        return Json{{"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_from_behind", s.pixels_from_behind}, {"rays", s.rays}, {"shadow_rays", s.shadow_rays}, {"surfels", s.surfels},
-                    {"chunks", s.chunks}, {"chunks_hidden", s.chunks_hidden}, {"tiles", s.tiles}};
-      });
-      if (info["pixels_hit"] == 0) {
-        leave_out(*photo.input, "it sees nothing of the cloud");
-        continue;
-      }
-      pixels_on_cloud_ += info["pixels_hit"].get<std::uint64_t>();
-      pixels_from_behind_ += info["pixels_from_behind"].get<std::uint64_t>();
-      run_.record.count("rays_primary", info["rays"]);
-      run_.record.count("rays_shadow", info["shadow_rays"]);
-      kept.push_back(std::move(photo));
-    }
-    shoot.photos = std::move(kept);
-    require_photographs();
-  }
-
-  /// Points are seen from their front alone. Where a scan's normals point inwards all of it stays unseen.
-  void note_backs() {
-    constexpr std::uint64_t kNoted = 20;   // a thin wall may well be seen from behind here and there
-    run_.record.count("pixels_on_cloud", pixels_on_cloud_);
-    run_.record.count("pixels_from_behind", pixels_from_behind_);
-    if (pixels_from_behind_ * kNoted < pixels_on_cloud_) return;
-    run_.note_both(concat(100 * pixels_from_behind_ / pixels_on_cloud_, " % of what the photographs show of the cloud, they see from behind by the cloud's normals, and such points stay unseen: do the normals of some scans "
-                          "point inwards? cloud.normals = \"estimate\" does without them"));
-  }
-
-  /// All photographs that share the lights of a lead, its own first.
-  optimize::AcquisitionInput acquisition_input(std::size_t lead) {
-    const Acquisition& a = *shoots_[lead].acquisition;
-    optimize::AcquisitionInput input;
-    input.intensity_range = a.flash->intensity_range;
-    input.sky = sky_model(a.ambient);
-    input.try_floor = a.floor != FloorModel::kNone;
-    input.floor_plane = a.floor_plane;
-    input.falloff = falloff_model(a.falloff);
-    input.method = solve_method(run_.project.method);
-    std::vector<Shoot*> shoots{&shoots_[lead]};
-    for (std::size_t i = 0; i < shoots_.size(); ++i)
-      if (i != lead && shoots_[i].lead == lead) shoots.push_back(&shoots_[i]);
-    for (Shoot* shoot : shoots)
-      for (Photo& photo : shoot->photos) {
-        photo.index_in_lights = input.photographs.size();
-        for (const ReferenceInput& r : shoot->acquisition->references)
-          if (r.photograph == photo.index_in_acquisition) input.references.push_back({photo.index_in_lights, r.polygon, r.albedo, r.sigma});
-        input.photographs.push_back(run_.observe_input(*shoot, photo));
-        input.names.push_back(photo.input->key);
-        run_.record.count(shoot->has_flash() ? "photographs_with_flash" : "photographs_without_flash", 1);
-      }
-    return input;
-  }
-
-  void solve_lights(const stream::Store& store, std::size_t lead) {
-    Shoot& shoot = shoots_[lead];
-    const Acquisition& a = *shoot.acquisition;
-    const optimize::AcquisitionInput input = acquisition_input(lead);
-    if (std::none_of(input.photographs.begin(), input.photographs.end(), [](const optimize::ObserveInput& p) { return p.flash_in_camera.has_value(); })) return;
-    optimize::AcquisitionOptions options;
-    options.seed = run_.project.seed;
-    options.max_proxy_surfels = std::min(options.max_proxy_surfels, std::max<std::uint64_t>(2000, optimize::proxy_surfels_within(plannable_bytes(run_.project.memory_bytes) / 2, options.rays)));
-    const std::filesystem::path folder = run_.folder.acquisition(a.name);
-    make_folder(folder);
-    Hasher h = keyed("gather");
-    h.add(options.seed).add(options.proxy_surfels).add(options.max_proxy_surfels).add(static_cast<std::uint64_t>(options.rays));
-    for (const std::string& key : keys_in_lights(lead)) h.add(key);
-    h.add(std::uint64_t{input.try_floor});
-    if (input.floor_plane)
-      for (const double v : *input.floor_plane) h.add(v);
-    shoot.transport_key = h.hex();
-    run_.task("gather/" + a.name, shoot.transport_key, {folder / "proxy.bin", folder / "transport.bin", folder / "floor.bin"}, [&] {
-      optimize::gather_scene(store, input, options, folder, run_.budget, run_.report);
-      return Json::object();
-    });
-    h.add("light").add(static_cast<std::uint64_t>(input.method)).add(static_cast<std::uint64_t>(input.sky)).add(static_cast<std::uint64_t>(input.falloff)).add(static_cast<std::uint64_t>(options.light_samples)).add(run_.project.metres_per_unit);
-    for (const optimize::ObserveInput& p : input.photographs) h.add(p.noise.gain).add(p.noise.read_sigma).add(p.ambient_scale);
-    if (input.intensity_range) h.add((*input.intensity_range)[0]).add((*input.intensity_range)[1]);
-    for (const auto& r : input.references) {
-      h.add(static_cast<std::uint64_t>(r.photograph)).add(r.sigma);
-      for (const double v : r.albedo) h.add(v);
-      for (const Vec2d& v : r.polygon) h.add(v.x()).add(v.y());
-    }
-    shoot.light_key = h.hex();
-    std::vector<std::filesystem::path> outputs{optimize::proxy_albedo_path(folder)};
-    const Json info = run_.task("light/" + a.name, shoot.light_key, outputs, [&] {
-      const optimize::Scene scene = optimize::load_scene(store, folder);
-      return light_json(optimize::solve_acquisition(store, scene, input, options, folder, run_.budget, run_.report));
-    });
-    shoot.lights = lights_from_json(info);
-    for (const std::string& n : shoot.lights.notes) run_.note_both(n);
-    if (const double spread = shoot.lights.exposure_spread; spread > 0)
-      run_.note_both(concat("acquisition \"", a.name, "\": the brightness of its photographs varies by ", format_number(100 * spread, 2), " % (standard deviation), as of a flash that is not always the same; this was taken out before the lights were solved"));
-    for (std::size_t k = 0; k < shoot.lights.own_lights.size(); ++k) {
-      const optimize::OwnLight& own = shoot.lights.own_lights[k];
-      if (own.unlike)
-        run_.note_both(concat(input.names[k], ": ", format_number(own.exposure, 3), " times as bright as the other photographs of its acquisition say; this was taken out before the lights were solved"));
-      if (own.ambient != 1) run_.note_both(concat(input.names[k], ": ambient light ", format_number(own.ambient, 3), " times that of the others, corrected"));
-    }
-    if (shoot.lights.proxy_seen == 0 && input.method != Method::kDirect && input.method != Method::kAdam)
-      throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph; are cameras and cloud in the same frame, and do the cloud's normals point outwards (cloud.normals = \"estimate\" does without them)?"));
-  }
-
-  std::vector<std::string> keys_in_lights(std::size_t lead) const {
-    std::map<std::size_t, std::string> keys;
-    for (const Shoot& shoot : shoots_)
-      if (shoot.lead == lead)
-        for (const Photo& p : shoot.photos) keys[p.index_in_lights] = p.gbuffer_key;
-    std::vector<std::string> ordered;
-    for (const auto& [index, key] : keys) ordered.push_back(key);
-    return ordered;
-  }
-
-  void solve_albedo(const stream::Store& store, Shoot& shoot) {
-    if (shoot.photos.empty()) return;
-    const Acquisition& a = *shoot.acquisition;
-    const Shoot& lead = shoots_[shoot.lead];
-    const std::filesystem::path folder = run_.folder.acquisition(lead.acquisition->name);
-    std::unique_ptr<optimize::Scene> scene;   // loaded once, and only if some photograph needs it
-    optimize::AlbedoOptions options;
-    options.direct_only = run_.project.method == SolveMethod::kDirect;
-    for (Photo& photo : shoot.photos) {
-      const std::size_t k = photo.index_in_lights;
-      if (lead.lights.strangers[k]) {
-        leave_out(*photo.input, "it shows something else than the other photographs where they show the same surfaces: another object, or the wrong camera");
-        continue;
-      }
-      Hasher h = keyed("albedo");
-      h.add(lead.light_key).add(photo.gbuffer_key).add(photo.radiance_key);
-      photo.albedo_key = h.hex();
-      const std::filesystem::path pictures = run_.folder.pictures(photo.input->key), raster = run_.folder.albedo(photo.input->key);
-      const Json info = run_.task("albedo/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr", pictures / "sigma.exr", pictures / "light.exr"}, [&] {
-        if (!scene) scene = std::make_unique<optimize::Scene>(optimize::load_scene(store, folder));
-        options.errors = lead.lights.errors[lead.lights.light_of_photograph[k]];
-        const Vec3d flash = photo.camera.pose.world_from_camera(a.flash->offset_in_camera);
-        const optimize::AlbedoStats s = optimize::solve_albedo(*scene, run_.observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
-                                                               {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), lead.lights.pattern, lead.lights.own_lights[k]}, options, raster, run_.report);
-        optimize::write_albedo_pictures(raster, pictures);
-        return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
-      });
-      run_.record.count("pixels_solved", info["pixels_solved"]);
-    }
-  }
-
-  void take_colour(Shoot& shoot) {
-    for (Photo& photo : shoot.photos) {
-      Hasher h = keyed("colour");
-      h.add(photo.radiance_key).add(photo.gbuffer_key);
-      photo.albedo_key = h.hex();
-      const std::filesystem::path pictures = run_.folder.pictures(photo.input->key), raster = run_.folder.albedo(photo.input->key);
-      run_.task("colour/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr"}, [&] {
-        optimize::colour_as_albedo(run_.observe_input(shoot, photo), raster, run_.report);
-        optimize::write_albedo_pictures(raster, pictures);
-        return Json::object();
-      });
-    }
-  }
-
-  void write_lights() {
-    Json all = Json::array();
-    for (const Shoot& shoot : shoots_) {
-      Json a{{"acquisition", shoot.acquisition->name}, {"method", name_of(run_.project.method)}};
-      if (run_.project.method == SolveMethod::kNone) {
-        a["how"] = "photographs taken as the colour itself; no light was solved";
-      } else if (!shoot.has_flash()) {
-        a["lights_of"] = shoots_[shoot.lead].acquisition->name;
-        a["how"] = concat("taken without flash: measures the ambient light of \"", shoots_[shoot.lead].acquisition->name, "\"");
-      } else {
-        if (&shoot != &shoots_[shoot.lead]) a["lights_of"] = shoots_[shoot.lead].acquisition->name;
-        describe_lights(shoot, a);
-      }
-      all.push_back(a);
-    }
-    write_text(run_.folder.lights(), Json{{"acquisitions", all}}.dump(1) + "\n");
-  }
-
-  void describe_lights(const Shoot& shoot, Json& a) const {
-    const optimize::AcquisitionResult& lights = shoots_[shoot.lead].lights;
-    const auto one = [&](const optimize::LightSolution& s, const optimize::ErrorModel& errors) {
-      const double ln_sd = s.covariance.rows() > 0 ? std::sqrt(std::max(0.0, s.covariance(0, 0))) : 0;
-      const int sky = s.sky_terms;
-      const double ambient_sd = sky > 0 ? std::sqrt(std::max(0.0, s.covariance(1, 1) + s.ambient_open)) : 0;
-      std::vector<std::string> names{"ln_flash_intensity"};
-      for (int k = 0; k < sky; ++k) names.push_back("sky_" + std::to_string(k));
-      if (s.sky_colour) names.insert(names.end(), {"ln_sky_red", "ln_sky_blue"});
-      if (s.lights.floor) names.push_back("floor_albedo");
-      if (s.lights.gloss.on) names.insert(names.end(), {"ln_gloss_reflectance", "ln_gloss_roughness"});
-      names.push_back("bounce");
-      Json covariance = Json::array();
-      for (Eigen::Index i = 0; i < s.covariance.rows(); ++i) {
-        Json row = Json::array();
-        for (Eigen::Index j = 0; j < s.covariance.cols(); ++j) row.push_back(s.covariance(i, j));
-        covariance.push_back(row);
-      }
-      Json found{{"flash_intensity", s.lights.flash_intensity}, {"flash_intensity_sd", ln_sd * s.lights.flash_intensity},
-                  {"ambient", s.lights.sky[0]}, {"ambient_sd", ambient_sd}, {"sky", s.lights.sky},
-                  {"sky_colour", s.lights.sky_colour}, {"sky_basis", "1, y, z, x, xy, yz, 3z^2-1, xz, x^2-y^2 of the world direction"}, {"bounce", s.lights.bounce},
-                  {"covariance_of", names}, {"covariance", covariance},
-                  {"allowed", {{"flash_intensity", {s.lights.flash_intensity * std::exp(-2 * ln_sd), s.lights.flash_intensity * std::exp(2 * ln_sd)}},
-                               {"ambient", {std::max(0.0, s.lights.sky[0] - 2 * ambient_sd), s.lights.sky[0] + 2 * ambient_sd}}}},
-                  {"absolute_scale", s.scale_known ? "calibrated" : "from interreflections and a guess of the brightest albedo: trust ratios, not the scale"},
-                  {"scatter_of_ln_albedo", s.scatter}, {"samples", s.samples}, {"converged", s.converged}};
-      found["errors"] = error_json(errors);
-      found["open_direction"] = to_json(light_spread(s));
-      if (s.lights.gloss.on) found["gloss"] = gloss_json(s.lights.gloss);
-      if (s.lights.floor) found["floor_albedo"] = s.lights.floor_albedo;
-      return found;
-    };
-    a["sky_model"] = lights.sky_model;
-    if (!lights.sky_evidence.empty()) a["sky_evidence"] = evidence_json(lights.sky_evidence);
-    if (lights.gloss_evidence) a["gloss_evidence"] = *lights.gloss_evidence;
-    a["proxy_surfels"] = lights.proxy_surfels;
-    for (const Photo& p : shoot.photos) {
-      if (p.index_in_lights >= lights.own_lights.size()) continue;
-      const optimize::OwnLight& own = lights.own_lights[p.index_in_lights];
-      if (own.exposure != 1) a["exposures"][p.input->key] = own.exposure;
-      if (own.ambient != 1) a["ambient_factors"][p.input->key] = {{"factor", own.ambient}, {"sd", own.ambient * own.ambient_ln_sd}};
-    }
-    if (const Vec3d& shift = lights.pattern.flash_shift; !shift.isZero()) a["flash_shift_in_camera"] = {shift[0], shift[1], shift[2]};
-    if (lights.exposure_spread > 0) a["exposure_spread"] = lights.exposure_spread;
-    if (!lights.pattern.falloff.none()) a["falloff"] = falloff_json(lights.pattern.falloff);
-    a["how"] = how_found(shoot);
-    const Acquisition& input = *shoot.acquisition;
-    if (input.flash->intensity_range) a["calibrated_range"] = *input.flash->intensity_range;
-    a["references"] = input.references.size();
-    if (lights.lights.size() == 1) {
-      a.update(one(lights.lights[0], lights.errors[0]));
-      return;
-    }
-    Json each = Json::array();
-    for (std::size_t k = 0; k < shoot.photos.size() && !lights.lights.empty(); ++k) {
-      Json j{{"photograph", shoot.photos[k].input->key}};
-      const std::size_t which = lights.light_of_photograph[shoot.photos[k].index_in_lights];
-      j.update(one(lights.lights[which], lights.errors[which]));
-      each.push_back(j);
-    }
-    a["photographs"] = each;
-  }
-
-  std::string how_found(const Shoot& shoot) const {
-    std::size_t n = 0, without_flash = 0;
-    for (const Shoot& other : shoots_)
-      if (other.lead == shoot.lead) (other.has_flash() ? n : without_flash) += other.photos.size();
-    const std::string dark = without_flash > 0 ? concat(" and ", without_flash, " without flash") : std::string();
-    switch (run_.project.method) {
-      case SolveMethod::kJoint:
-        if (shoots_[shoot.lead].lights.lights.size() > 1) return "each photograph by itself, as they show too few places in common: log ratios of pairs of surfels of like chroma";
-        return n + without_flash > 1 ? concat("jointly over ", n, " photographs", dark, ": log ratios of surfels seen at least twice") : std::string("one photograph: log ratios of pairs of surfels of like chroma");
-      case SolveMethod::kSingle:
-        if (without_flash > 0) return concat("each photograph by itself", dark, ": log ratios of surfels seen at least twice");
-        return "each photograph by itself: log ratios of pairs of surfels of like chroma";
-      case SolveMethod::kAdam: return "each photograph by itself: one-dimensional search of the flash, then Adam over albedo, flash and ambient; the result depends on its start";
-      case SolveMethod::kDirect: return "not solved: the middle of the calibrated range, no ambient, no bounces";
-      case SolveMethod::kNone: break;
-    }
-    return "";
-  }
-
   RunContext run_;
-  std::string store_key_;
-  std::map<std::string, std::vector<std::string>> development_notes_;   ///< and the files of which they are said
-  std::uint64_t pixels_on_cloud_ = 0, pixels_from_behind_ = 0;
   std::vector<Shoot> shoots_;
 };
 

@@ -57,14 +57,17 @@ struct ReportData {
   std::vector<std::string> scale_sentences() const;
 };
 
+/// NaN of nothing.
+double share(std::uint64_t part, std::uint64_t whole);
+/// Median of one measure over the photographs; NaN where none has it.
+double median_over(const ReportData& data, double PhotoMeasures::*value);
+/// Of all tasks, when they ran.
+double computing_seconds(const ReportData& data);
 /// A method of the project file in words.
 std::string method_in_words(const std::string& method);
 
 Json report_json(const ReportData& data);
 /// The whole page.
 std::string report_html(const ReportData& data);
-
-/// Text for HTML: & < > " ' escaped, control characters and broken UTF-8 replaced.
-std::string html_escape(std::string_view text);
 
 }  // namespace chiaro::tools

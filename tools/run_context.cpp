@@ -1,4 +1,5 @@
 #include "stream/base/heap.h"
+#include "stream/base/error.h"
 #include "tools/run_context_json.h"
 
 namespace chiaro::tools {
@@ -6,7 +7,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 /// Part of every key: raise it when a stage's result changes for the same inputs.
-constexpr std::uint64_t kPipelineVersion = 10;
+constexpr std::uint64_t kPipelineVersion = 11;
 }  // namespace
 
 Hasher keyed(std::string_view stage) {
@@ -18,6 +19,16 @@ Hasher keyed(std::string_view stage) {
 void RunContext::note_both(const std::string& text) {
   report.note(text);
   record.note(text);
+}
+
+void RunContext::leave_out(const PhotographInput& p, const std::string& reason) {
+  report.note(concat(p.file.filename().string(), ": left out: ", reason));
+  record.left_out("photograph", p.key, reason);
+  // What an earlier run made of it is no result any more.
+  const std::filesystem::path pictures = folder.pictures(p.key);
+  std::error_code code;
+  for (const char* name : {"albedo.exr", "sigma.exr", "light.exr", "residual.exr"}) std::filesystem::remove(pictures / name, code);
+  std::filesystem::remove(pictures, code);
 }
 
 Json RunContext::task(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs, const std::function<Json()>& body) {

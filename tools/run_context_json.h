@@ -39,6 +39,9 @@ struct Shoot {
   optimize::AcquisitionResult lights;
 };
 
+/// What to look at where photographs and cloud have nothing in common: the end of a message.
+inline constexpr std::string_view kNothingSeenHint = "are cameras and cloud in the same frame, and do the cloud's normals point outwards (cloud.normals = \"estimate\" does without them)?";
+
 /// Begins the key of a stage: with the version of the pipeline, raised when a stage's result changes for the same inputs.
 Hasher keyed(std::string_view stage);
 
@@ -53,6 +56,8 @@ struct RunContext {
 
   /// On the console and in the record.
   void note_both(const std::string& text);
+  /// Says so, enters it in the record, and removes the pictures that an earlier run made of the photograph.
+  void leave_out(const PhotographInput& photograph, const std::string& reason);
   /// Runs a task and enters it in the record.
   nlohmann::ordered_json task(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs, const std::function<nlohmann::ordered_json()>& body);
   optimize::ObserveInput observe_input(const Shoot& shoot, const Photo& photo) const;

@@ -62,7 +62,7 @@ class LayerStages {
       return Json::parse(blend_record_json(s, photographs));
     });
     if (info["points_seen"] == 0)
-      throw Error("no point of the cloud is seen by any photograph from its front, near enough and inside masks: are cameras and cloud in the same frame, and do the cloud's normals point outwards (cloud.normals = \"estimate\" does without them)?");
+      throw Error(concat("no point of the cloud is seen by any photograph from its front, near enough and inside masks: ", kNothingSeenHint));
     run_.record.count("points_seen", info["points_seen"]);
     run_.record.count("points_unseen", info["points"].get<std::uint64_t>() - info["points_seen"].get<std::uint64_t>());
     run_.record.count("points_disputed", info["points_disputed"]);

@@ -16,148 +16,10 @@
 #include "stream/base/file.h"
 #include "stream/base/parallel.h"
 #include "stream/cloud/filtered.h"
+#include "stream/cloud/position_file.h"
 
 namespace chiaro::stream {
 namespace {
-
-struct Record {
-  double position[3];
-  std::uint64_t index;
-  Vec3d at() const { return {position[0], position[1], position[2]}; }
-};
-static_assert(sizeof(Record) == 32);
-
-struct Leaf {
-  std::uint64_t first = 0, count = 0;  // records in the file
-  Box3d box;
-};
-
-/// Appends records through a buffer to one place of a file.
-class RecordSink {
- public:
-  RecordSink(File& file, std::uint64_t first, std::size_t buffered) : file_(&file), next_(first), limit_(buffered) {
-    buffer_.reserve(limit_);
-  }
-  void add(const Record& record) {
-    buffer_.push_back(record);
-    if (buffer_.size() >= limit_) flush();
-  }
-  void flush() {
-    if (!buffer_.empty()) file_->write_at(next_ * sizeof(Record), buffer_.data(), buffer_.size() * sizeof(Record));
-    next_ += buffer_.size();
-    buffer_.clear();
-  }
-
- private:
-  File* file_;
-  std::uint64_t next_;
-  std::size_t limit_;
-  std::vector<Record> buffer_;
-};
-
-template <class Visit>
-void for_records(const File& file, std::uint64_t first, std::uint64_t count, const Visit& visit) {
-  constexpr std::uint64_t kAtOnce = 32768;
-  std::vector<Record> buffer(std::min(kAtOnce, count));
-  for (std::uint64_t done = 0; done < count;) {
-    const std::uint64_t n = std::min<std::uint64_t>(buffer.size(), count - done);
-    file.read_at((first + done) * sizeof(Record), buffer.data(), n * sizeof(Record));
-    for (std::uint64_t i = 0; i < n; ++i) visit(buffer[i]);
-    done += n;
-  }
-}
-
-/// Splits records into leaves of at most `capacity`, partitioning back and forth between two files.
-class Splitter {
- public:
-  Splitter(File& records, File& other, std::uint64_t capacity, Reporter& report)
-      : records_(records), other_(other), capacity_(capacity), report_(report) {}
-
-  std::vector<Leaf> split(std::uint64_t count) {
-    std::vector<Leaf> open = {{0, count, bounds_of(0, count)}};
-    bounds_ = open[0].box;
-    std::vector<Leaf> leaves;
-    while (!open.empty()) {
-      report_.check();
-      const Leaf node = open.back();
-      open.pop_back();
-      if (node.count == 0) continue;
-      if (node.count <= capacity_) {
-        leaves.push_back(node);
-      } else if ((node.box.max.array() == node.box.min.array()).all()) {
-        // All in one place: any cut is as good as another.
-        for (std::uint64_t at = 0; at < node.count; at += capacity_)
-          leaves.push_back({node.first + at, std::min(capacity_, node.count - at), node.box});
-      } else {
-        const auto [low, high] = cut(node);
-        open.push_back(high);
-        open.push_back(low);
-      }
-    }
-    return leaves;
-  }
-
-  const Box3d& bounds() const { return bounds_; }
-
- private:
-  Box3d bounds_of(std::uint64_t first, std::uint64_t count) const {
-    Box3d box;
-    for_records(records_, first, count, [&](const Record& r) { box.extend(r.at()); });
-    return box;
-  }
-
-  // The middle of the box always parts it; the median of a sample does so into equal halves, unless many values are the same.
-  std::pair<Leaf, Leaf> cut(const Leaf& node) {
-    int axis = 0;
-    (node.box.max - node.box.min).maxCoeff(&axis);
-    double at = sample_median(node, axis);
-    if (!(at >= node.box.min[axis] && at < node.box.max[axis])) at = node.box.min[axis] + (node.box.max[axis] - node.box.min[axis]) / 2;
-    if (!(at < node.box.max[axis])) at = node.box.min[axis];
-    std::uint64_t num_low = 0;
-    for_records(records_, node.first, node.count, [&](const Record& r) { num_low += r.position[axis] <= at; });
-    Leaf low{node.first, num_low, {}}, high{node.first + num_low, node.count - num_low, {}};
-    RecordSink lows(other_, low.first, 16384), highs(other_, high.first, 16384);
-    for_records(records_, node.first, node.count, [&](const Record& r) {
-      const bool is_low = r.position[axis] <= at;
-      (is_low ? lows : highs).add(r);
-      (is_low ? low : high).box.extend(r.at());
-    });
-    lows.flush();
-    highs.flush();
-    copy_back(node);
-    return {low, high};
-  }
-
-  double sample_median(const Leaf& node, int axis) const {
-    constexpr std::uint64_t kSamples = 1024;
-    const std::uint64_t stride = std::max<std::uint64_t>(1, node.count / kSamples);
-    std::vector<double> values;
-    for (std::uint64_t i = 0; i < node.count; i += stride) {
-      Record record;
-      records_.read_at((node.first + i) * sizeof(Record), &record, sizeof record);
-      values.push_back(record.position[axis]);
-    }
-    std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2), values.end());
-    return values[values.size() / 2];
-  }
-
-  void copy_back(const Leaf& node) {
-    std::vector<char> buffer(1 << 20);
-    const std::uint64_t begin = node.first * sizeof(Record), bytes = node.count * sizeof(Record);
-    for (std::uint64_t done = 0; done < bytes;) {
-      const std::size_t n = static_cast<std::size_t>(std::min<std::uint64_t>(buffer.size(), bytes - done));
-      other_.read_at(begin + done, buffer.data(), n);
-      records_.write_at(begin + done, buffer.data(), n);
-      done += n;
-    }
-  }
-
-  File& records_;
-  File& other_;
-  std::uint64_t capacity_;
-  Reporter& report_;
-  Box3d bounds_;
-};
 
 double distance_to_box(const Vec3d& p, const Box3d& box) { return (box.min - p).cwiseMax(p - box.max).cwiseMax(0.0).norm(); }
 
@@ -236,9 +98,9 @@ class OutlierSearch {
     // time.
     capacity_ = memory / (2 * (128 + 12 * k_));
     means_ = File(scratch_.path() / "means", File::Mode::kCreate);
-    Splitter splitter(records_, other_, capacity_, report_);
-    leaves_ = splitter.split(num_finite_);
-    diagonal_ = (splitter.bounds().max - splitter.bounds().min).norm();
+    PositionSplit split = split_positions(records_, other_, num_finite_, capacity_, report_);
+    leaves_ = std::move(split.leaves);
+    diagonal_ = (split.bounds.max - split.bounds.min).norm();
     report_.begin("outliers", num_finite_, "points");
     std::uint64_t done = 0;
     for (std::size_t i = 0; i < leaves_.size(); ++i) {
@@ -257,7 +119,7 @@ class OutlierSearch {
   std::size_t max_open() const { return std::max<std::size_t>(1024, static_cast<std::size_t>(capacity_) / 4); }
 
   void store(PointReader& reader) {
-    RecordSink sink(records_, 0, 32768);
+    PositionSink sink(records_, 0, 32768);
     PointBlock block;
     while (reader.read(block, 65536)) {
       report_.check();
@@ -271,8 +133,8 @@ class OutlierSearch {
     sink.flush();
   }
 
-  void load(const Leaf& leaf, std::vector<Vec3d>& points, std::vector<std::uint64_t>* indices) const {
-    for_records(records_, leaf.first, leaf.count, [&](const Record& r) {
+  void load(const PositionLeaf& leaf, std::vector<Vec3d>& points, std::vector<std::uint64_t>* indices) const {
+    for_records(records_, leaf.first, leaf.count, [&](const PositionRecord& r) {
       points.push_back(r.at());
       if (indices) indices->push_back(r.index);
     });
@@ -290,7 +152,7 @@ class OutlierSearch {
   }
 
   void search_leaf(std::size_t leaf_idx) {
-    const Leaf& leaf = leaves_[leaf_idx];
+    const PositionLeaf& leaf = leaves_[leaf_idx];
     std::vector<Vec3d> points;
     std::vector<std::uint64_t> indices;
     load(leaf, points, &indices);
@@ -333,11 +195,11 @@ class OutlierSearch {
   // `reach` becomes 0 where the halo would not fit in memory.
   void search_halo(std::size_t leaf_idx, const std::vector<Vec3d>& points, const std::vector<std::size_t>& border,
                    std::vector<double>& best, double& reach) {
-    const Leaf& leaf = leaves_[leaf_idx];
+    const PositionLeaf& leaf = leaves_[leaf_idx];
     std::vector<Vec3d> halo;
     for (std::size_t j = 0; j < leaves_.size() && halo.size() <= capacity_; ++j) {
       if (j == leaf_idx || distance_between(leaves_[j].box, leaf.box) > reach) continue;
-      for_records(records_, leaves_[j].first, leaves_[j].count, [&](const Record& r) {
+      for_records(records_, leaves_[j].first, leaves_[j].count, [&](const PositionRecord& r) {
         if (halo.size() <= capacity_ && distance_to_box(r.at(), leaf.box) <= reach) halo.push_back(r.at());
       });
     }
@@ -362,7 +224,7 @@ class OutlierSearch {
     // Room for rounding: the search picks neighbours in floats.
     for (std::size_t i = 0; i < open_.size(); ++i) bound[i] = open_best_[i * k_ + k_ - 1] * (1 + 1e-6) + 1e-6 * diagonal_;
     std::fill(open_best_.begin(), open_best_.end(), std::numeric_limits<double>::infinity());
-    for (const Leaf& leaf : leaves_) {
+    for (const PositionLeaf& leaf : leaves_) {
       report_.check();
       std::vector<std::size_t> in_reach;
       for (std::size_t i = 0; i < open_.size(); ++i)
@@ -449,7 +311,7 @@ class OutlierSearch {
   std::uint64_t num_finite_ = 0, capacity_ = 0;
   std::size_t k_ = 0;
   double diagonal_ = 0;
-  std::vector<Leaf> leaves_;
+  std::vector<PositionLeaf> leaves_;
   std::vector<Open> open_;
   std::vector<double> open_best_;  // k_ per open point
   std::vector<Mean> pending_;

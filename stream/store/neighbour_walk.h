@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "stream/store/near_kernels.h"
+#include "stream/store/near_select.h"
 #include "stream/store/neighbours.h"
 #include "stream/store/surfel_fit.h"
 

@@ -9,7 +9,7 @@
 
 #include "stream/base/budget.h"
 #include "stream/base/file.h"
-#include "stream/store/near_kernels.h"
+#include "stream/store/near_select.h"
 #include "stream/store/store.h"
 
 namespace chiaro::stream {

@@ -1,10 +1,11 @@
 // What one photograph needs of a large store, and how soon its first pixel is there.
 //
-//   working_set_bench STORE.chiaro [--size 4000x3000] [--rows 3000] [--field 50] [--pixel-error 1] [--distances 0.05,0.2,1,3] [--memory 4GiB] [--cold] [--check 100000]
+//   working_set_bench STORE.chiaro [--size 4000x3000] [--rows 3000] [--field 50] [--light 0.02,-0.02,0] [--pixel-error 1] [--distances 0.05,0.2,1,3] [--memory 4GiB] [--cold] [--check 100000]
 //
 // Cameras look at the surface from outside, along the line from the centre of the bounds to its leaf in the middle of the Morton order: once for each distance
 // from the surface, in units of half the diagonal of the bounds; --field is the width of the picture, degrees; --pixel-error how far apart surfels may be, pixels; --rows looks at that many rows in the middle of
-// the picture alone, as rays are cast where the budget does not hold the whole (surfels/gbuffer.h). A light stands beside the camera as a flash does. Share:
+// the picture alone, as rays are cast where the budget does not hold the whole (surfels/gbuffer.h). --light: where it stands in the camera's frame, in units of the
+// camera's distance; beside it as a flash does if nothing is said. Share:
 // of all chunks of the store, with inner ones. First pixel: from opening the store to the answer for the pixel in the middle. --cold: pages of the store are
 // dropped first, without it they are read once before. --check: that many pixels, and the ways from there to the light, are also traced through everything in view,
 // hidden or not; those that differ are counted.
@@ -33,6 +34,7 @@ struct Options {
   fs::path store;
   int width = 4000, height = 3000, rows = 0;   ///< rows: 0 = all
   double field_deg = 50, pixel_error = 1;
+  Vec3d light{0.02, -0.02, 0};
   std::vector<double> distances{0.05, 0.2, 1, 3};
   std::uint64_t memory = std::uint64_t{4} << 30;
   bool cold = false;
@@ -55,7 +57,7 @@ surfels::View view_of(const Options& o, const stream::Manifest& m, const Vec3d& 
   v.pose.translation_camera_from_world = -v.pose.rotation_camera_from_world * eye;
   const int rows = o.rows > 0 ? std::min(o.rows, o.height) : o.height, first = (o.height - rows) / 2;
   v.rect = {0, first, o.width, first + rows};
-  v.lights_in_world.push_back(v.pose.world_from_camera({0.02 * distance, -0.02 * distance, 0}));
+  v.lights_in_world.push_back(v.pose.world_from_camera(distance * o.light));
   return v;
 }
 
@@ -134,7 +136,9 @@ Options parse(int count, char** words) {
     } else if (word == "--field") o.field_deg = std::stod(words[++i]);
     else if (word == "--rows") o.rows = std::stoi(words[++i]);
     else if (word == "--pixel-error") o.pixel_error = std::stod(words[++i]);
-    else if (word == "--check") o.check = std::stoi(words[++i]);
+    else if (word == "--light") {
+      if (std::sscanf(words[++i], "%lf,%lf,%lf", &o.light[0], &o.light[1], &o.light[2]) != 3) throw Error("--light is X,Y,Z");
+    } else if (word == "--check") o.check = std::stoi(words[++i]);
     else if (word == "--memory") o.memory = parse_bytes(words[++i]);
     else if (word == "--distances") {
       o.distances.clear();

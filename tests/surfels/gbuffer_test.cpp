@@ -177,6 +177,46 @@ TEST_F(GBuffer, MarksDepthEdgesAndNotCreases) {
   EXPECT_GT(edge[32 * 64 + 32], 10);
 }
 
+// A plate far outside the picture, and a flash farther out still: its shadow lies where the closed form has it.
+TEST_F(GBuffer, SeesTheShadowsThatAFlashFarToTheSideThrows) {
+  auto points = tests::square_points(250, 4.0, {0, 0, 0}, {0, 0, 1}, 1);
+  const Vec3d flash(5, 0, 1);
+  const double x = 3, z0 = 0.2, z1 = 0.6, half = 0.2;   // seen from the flash: on the ground from x = 2.5 to 0, and there half a metre to each side
+  const auto plate = tests::square_points(60, z1 - z0, {x, 0, 0.5 * (z0 + z1)}, {1, 0, 0}, 2);
+  points.insert(points.end(), plate.begin(), plate.end());
+  const stream::Store store = tests::build_test_store(points, folder.path(), 512);
+  const stream::Camera camera = camera_above(2, 128, 96, 120);
+  GBufferOptions options;
+  options.flash_in_camera = camera.pose.rotation_camera_from_world * flash + camera.pose.translation_camera_from_world;
+  const GBufferStats stats = write_gbuffer(store, camera, options, folder.path() / "g.raster", budget, silent_reporter());
+  EXPECT_EQ(stats.pixels_hit, 128u * 96u);
+  const stream::RasterReader g(folder.path() / "g.raster");
+  const auto d = g.all<float>("flash"), lit = g.all<float>("lit");
+  int in_shadow = 0, in_light = 0;
+  for (int row = 0; row < 96; ++row)
+    for (int column = 0; column < 128; ++column) {
+      const Vec3d p((column + 0.5 - 64) / 60, -(row + 0.5 - 48) / 60, 0);
+      const Vec3d at_plate = flash + (flash.x() - x) / (flash.x() - p.x()) * (p - flash);
+      const double inside = std::min({at_plate.z() - z0, z1 - at_plate.z(), half - std::fabs(at_plate.y())});   // how far within the plate's border
+      const std::size_t i = static_cast<std::size_t>(row) * 128 + static_cast<std::size_t>(column);
+      if (inside > 0.02) {
+        EXPECT_EQ(d[i], 0.0f) << column << ' ' << row;
+        EXPECT_EQ(lit[i], 0.0f);
+        ++in_shadow;
+      } else if (inside < -0.02) {
+        const double r = (flash - p).norm();
+        EXPECT_NEAR(static_cast<double>(d[i]) * r * r * r / flash.z(), 1, 0.01) << column << ' ' << row;
+        ++in_light;
+      }
+    }
+  EXPECT_GT(in_shadow, 1500);
+  EXPECT_GT(in_light, 4000);
+  // In parts, of which each has its own view of the flash: the same bytes.
+  options.tile_bytes = 0;
+  EXPECT_GT(write_gbuffer(store, camera, options, folder.path() / "bands.raster", budget, silent_reporter()).tiles, 1);
+  EXPECT_EQ(read_text(folder.path() / "g.raster"), read_text(folder.path() / "bands.raster"));
+}
+
 // A small plate near the flash throws a large shadow: its edge is as uncertain as the plate's own, magnified.
 TEST_F(GBuffer, DoubtsTheEdgesOfShadows) {
   auto points = tests::square_points(300, 6.0, {0, 0, 0}, {0, 0, 1}, 1);

@@ -159,6 +159,193 @@ TEST(WorkingSet, TakesWhatStandsBetweenTheFlashAndTheEdgeOfThePicture) {
   EXPECT_FALSE(takes_twig(view));   // it is not in the picture itself
 }
 
+/// Everything that the store holds, at the same levels.
+WorkingSet everything(const stream::Store& store, const View& view, MemoryBudget& budget) {
+  CutOptions options;
+  options.cull_hidden = false;
+  options.margin_px = 50 * view.lens.fx;   // wider than a half-space
+  return select_visible(store, view, options, budget, silent_reporter());
+}
+
+struct Answers {
+  int pixels = 0, dark = 0, differ = 0;
+  int slipped = 0;   ///< camera rays that go between two discs of what hides the rest
+};
+
+/// What pixels of the view's rectangle show, and whether their light does: by `some` chunks and by `all`.
+Answers compare_sets(const stream::Store& store, const View& view, const WorkingSet& some, const WorkingSet& all, int step, MemoryBudget& budget) {
+  const Vec3d eye = view.pose.centre_in_world();
+  const Tracer of_some = trace(store, some.chunks, budget, eye), of_all = trace(store, all.chunks, budget, eye);
+  const Vec3f light = of_all.scene_from_world(view.lights_in_world[0]);
+  Answers n;
+  for (int y = view.rect.y0; y < view.rect.y1; y += step)
+    for (int x = view.rect.x0; x < view.rect.x1; x += step) {
+      const Vec3f d = (view.pose.rotation_camera_from_world.transpose() * *stream::unproject(view.lens, {x + 0.5, y + 0.5})).normalized().cast<float>();
+      Hit a, b;
+      const bool met = of_all.closest({Vec3f::Zero(), d, 0, 1e30f}, a);
+      ++n.pixels;
+      if (met != of_some.closest({Vec3f::Zero(), d, 0, 1e30f}, b) || (met && a.surfel != b.surfel)) {
+        ++n.slipped;
+        continue;
+      }
+      if (!met) continue;
+      const Vec3f p = d * a.t, to_light = light - p;
+      if (!(a.normal.dot(to_light) > 0)) continue;
+      const Ray back = escape_ray(p, a.normal, a.radius, to_light.normalized(), to_light.norm());
+      const bool dark = of_all.occluded(back);
+      n.dark += dark;
+      n.differ += dark != of_some.occluded(back);
+    }
+  return n;
+}
+
+// Lamps that stand anywhere: far to the side, near the walls, between them, behind the camera, beside the ball.
+TEST(WorkingSet, LosesNothingThatALampAnywhereMeets) {
+  const ScratchFolder folder;
+  const stream::Store store = walls(folder.path());
+  MemoryBudget budget(kRoom);
+  Answers sum;
+  std::size_t kept = 0, whole = 0;
+  std::uint64_t hidden = 0;
+  for (const Vec3d& lamp : {Vec3d(6, 0.3, 0.4), Vec3d(-1.5, -4, 0.3), Vec3d(0.1, 0.2, 0.15), Vec3d(-0.5, 0.4, -0.4), Vec3d(0.6, 0, -0.1), Vec3d(1, 5, 8), Vec3d(0.9, 0.3, -5), Vec3d(0.6, 0, -0.4)}) {
+    View view = view_to({0.5, 0.1, 1.8}, {0.2, 0, 0}, 400, 300, 500);
+    view.lights_in_world = {lamp};
+    for (const int rows : {300, 40}) {
+      view.rect = {0, 150 - rows / 2, 400, 150 + rows / 2};
+      const WorkingSet some = select_visible(store, view, {}, budget, silent_reporter()), all = everything(store, view, budget);
+      ASSERT_TRUE(std::includes(all.chunks.begin(), all.chunks.end(), some.chunks.begin(), some.chunks.end()));
+      EXPECT_EQ(all.chunks_outside, 0u);
+      const Answers n = compare_sets(store, view, some, all, rows > 40 ? 2 : 1, budget);
+      EXPECT_EQ(n.differ, 0) << "lamp at " << lamp.transpose() << ", " << rows << " rows";
+      sum.pixels += n.pixels;
+      sum.dark += n.dark;
+      sum.slipped += n.slipped;
+      kept += some.chunks.size();
+      whole += all.chunks.size();
+      hidden += some.chunks_hidden;
+    }
+  }
+  std::printf("%d of %d dark, %d slipped; %zu of %zu chunks, %llu hidden\n", sum.dark, sum.pixels, sum.slipped, kept, whole, static_cast<unsigned long long>(hidden));
+  EXPECT_GT(sum.dark, 4000);
+  EXPECT_LT(sum.slipped, sum.pixels / 5000);
+  EXPECT_LT(2 * kept, whole);
+  EXPECT_GT(hidden, 1000u);
+}
+
+// A plate far to the side of the picture, that a lamp farther still throws into it.
+TEST(WorkingSet, TakesWhatALampFarToTheSideThrowsIntoThePicture) {
+  const ScratchFolder folder;
+  auto points = tests::square_points(300, 8.0, {0, 0, 0}, {0, 0, 1}, 1);
+  const Vec3d plate(3, 0, 0.6);
+  for (const Vec3d& side : {Vec3d(1, 0, 0), Vec3d(-1, 0, 0)}) {   // a plate that casts, and one on the other side that does not
+    const auto more = tests::square_points(60, 0.2, plate.cwiseProduct(Vec3d(side.x(), 1, 1)), side, 2);
+    points.insert(points.end(), more.begin(), more.end());
+  }
+  const stream::Store store = tests::build_test_store(points, folder.path(), 128);
+  MemoryBudget budget(kRoom);
+  View view = view_to({0, 0, 3}, {0, 0, 0}, 200, 150, 200);   // shows 3 m of the ground
+  view.lights_in_world = {Vec3d(5, 0, 1)};
+  const auto takes = [&](const View& v, const Vec3d& p) {
+    const WorkingSet set = select_visible(store, v, {}, budget, silent_reporter());
+    return std::any_of(set.chunks.begin(), set.chunks.end(), [&](std::uint32_t c) { return distance_to_box(p, store.bounds(c)) < 0.2; });
+  };
+  EXPECT_TRUE(takes(view, plate));
+  EXPECT_FALSE(takes(view, plate.cwiseProduct(Vec3d(-1, 1, 1))));
+  const WorkingSet some = select_visible(store, view, {}, budget, silent_reporter()), all = everything(store, view, budget);
+  EXPECT_LT(3 * some.chunks.size(), all.chunks.size());
+  const Answers n = compare_sets(store, view, some, all, 1, budget);
+  EXPECT_EQ(n.differ, 0);
+  EXPECT_GT(n.dark, n.pixels / 12);
+  view.rect = {0, 0, 25, 150};   // the shadow is cast on the columns in the middle
+  EXPECT_FALSE(takes(view, plate));
+  view.rect = {85, 0, 115, 150};
+  EXPECT_TRUE(takes(view, plate));
+}
+
+// Boxes of chunks reach behind a camera that is nearer to a surface than they are large. Its flash is beside it all the same.
+TEST(WorkingSet, AFlashBesideANearCameraNeedsLittleMore) {
+  const ScratchFolder folder;
+  const stream::Store store = tests::build_test_store(tests::sphere_points(200000, 1, {0, 0, 0}, false), folder.path(), 1024);
+  MemoryBudget budget(kRoom);
+  std::size_t with_flash = 0, alone = 0;
+  for (const Vec3d& eye : {Vec3d(1.04, 0.02, 0.1), Vec3d(0.6, 0.6, 0.62), Vec3d(0.1, -1.03, 0.2)}) {
+    View view = view_to(eye, {0, 0, 0}, 400, 300, 500);
+    view.lights_in_world = {view.pose.world_from_camera({0.001, -0.001, 0})};
+    CutOptions options;
+    options.cull_hidden = false;
+    with_flash += select_visible(store, view, options, budget, silent_reporter()).chunks.size();
+    view.lights_in_world.clear();
+    alone += select_visible(store, view, options, budget, silent_reporter()).chunks.size();
+  }
+  EXPECT_GT(alone, 0u);
+  EXPECT_LE(with_flash, alone + alone / 4);
+}
+
+// A lamp throws the edges of near things magnified: they are as fine as if the camera stood there.
+TEST(WorkingSet, IsFineNearALampThatIsFarFromTheCamera) {
+  const ScratchFolder folder;
+  auto points = tests::square_points(300, 8.0, {0, 0, 0}, {0, 0, 1}, 1);
+  const Vec3d plate(0, 0, 9);   // a shade below the lamp, behind the camera
+  const auto more = tests::square_points(250, 0.5, plate, {0, 0, 1}, 2);
+  points.insert(points.end(), more.begin(), more.end());
+  const stream::Store store = tests::build_test_store(points, folder.path(), 512);
+  MemoryBudget budget(kRoom);
+  View view = view_to({0, 0, 4}, {0, 0, 0}, 200, 150, 200);
+  const auto coarsest = [&](double lamp_height) {
+    view.lights_in_world = {Vec3d(0, 0, lamp_height)};
+    double spacing = 0;
+    for (const std::uint32_t c : select_visible(store, view, {}, budget, silent_reporter()).chunks)
+      if (distance_to_box(plate, store.bounds(c)) < 0.2) spacing = std::max(spacing, static_cast<double>(store.chunks()[c].spacing));
+    return spacing;
+  };
+  const double far = coarsest(30), near = coarsest(10);
+  EXPECT_GT(far, 0.015);   // 5 m from the camera a pixel is 2.5 cm
+  EXPECT_GT(near, 0);
+  EXPECT_LT(near, 1.3 * 2 * 1.0 / 200);   // one metre from the lamp
+}
+
+// The pyramids of a light hold all of each box, in whatever direction, and no more than they must.
+TEST(Frustum, OfALightHoldsTheBoxesAndTheWayThere) {
+  for (std::uint64_t seed = 0; seed < 200; ++seed) {
+    std::vector<Box3d> boxes;
+    const auto few = uniform01x4(11, Purpose::kTest, seed, 0);
+    const Vec3d middle = 4 * Vec3d(few[1], few[2], few[3]) - Vec3d(2, 2, 2);
+    const double reach = seed % 2 ? 0.4 : 3;
+    for (std::uint64_t i = 0; i < 1 + seed % 7; ++i) {
+      const auto u = uniform01x4(12, Purpose::kTest, seed, 2 * i), v = uniform01x4(12, Purpose::kTest, seed, 2 * i + 1);
+      Box3d box;
+      box.extend(middle + reach * (Vec3d(u[0], u[1], u[2]) - Vec3d(0.5, 0.5, 0.5)));
+      box.extend(box.min + (0.05 + 0.5 * u[3]) * Vec3d(v[0], v[1], v[2]));
+      boxes.push_back(box);
+    }
+    const Vec3d light = Vec3d::Zero();
+    const std::vector<Frustum> frusta = frusta_of_light(light, boxes);
+    const auto holds = [&](const Vec3d& p) {
+      Box3d at;
+      at.extend(p);
+      return std::any_of(frusta.begin(), frusta.end(), [&](const Frustum& f) { return !f.misses(at); });
+    };
+    ASSERT_GE(frusta.size(), 1u);
+    ASSERT_LE(frusta.size(), 6u);
+    for (const Box3d& box : boxes)
+      for (std::uint64_t i = 0; i < 40; ++i) {
+        const auto u = uniform01x4(13, Purpose::kTest, seed, i);
+        const Vec3d p = box.min + (box.max - box.min).cwiseProduct(Vec3d(u[0], u[1], u[2]));
+        EXPECT_TRUE(holds(p)) << seed;
+        EXPECT_TRUE(holds(light + u[3] * (p - light))) << seed;
+      }
+    for (const Frustum& f : frusta) {
+      EXPECT_LT(f.x0, f.x1);
+      EXPECT_LT(f.y0, f.y1);
+    }
+    if (seed % 2 && middle.norm() > 1) {   // a small heap on one side
+      EXPECT_FALSE(holds(-middle)) << seed;
+      EXPECT_FALSE(holds(2 * middle)) << seed;
+    }
+  }
+  EXPECT_TRUE(frusta_of_light({0, 0, 0}, {}).empty());
+}
+
 TEST(WorkingSet, AProxyHoldsWhatItMayAndIsFinerWhereAPhotographLooks) {
   const ScratchFolder folder;
   const stream::Store store = tests::build_test_store(tests::square_points(500, 8.0, {0, 0, 0}, {0, 0, 1}, 1), folder.path(), 1024);

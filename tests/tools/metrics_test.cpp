@@ -9,6 +9,7 @@
 #include "stream/base/parallel.h"
 #include "stream/base/rng.h"
 #include "stream/photo/image_io.h"
+#include "tools/colour_spaces.h"
 
 namespace chiaro::tools {
 namespace {

@@ -1,0 +1,184 @@
+#include "tools/run_photographs.h"
+
+#include <algorithm>
+#include <nlohmann/json.hpp>
+
+#include "stream/base/error.h"
+#include "stream/photo/camera_files.h"
+#include "stream/photo/develop.h"
+#include "surfels/gbuffer.h"
+#include "tools/run_context_json.h"
+
+namespace chiaro::tools {
+namespace {
+using Json = nlohmann::ordered_json;
+
+Hasher& add_camera(Hasher& h, const stream::Camera& c) {
+  const stream::Lens& l = c.lens;
+  h.add(static_cast<std::uint64_t>(l.kind)).add(static_cast<std::uint64_t>(l.width_px)).add(static_cast<std::uint64_t>(l.height_px));
+  for (const double v : {l.fx, l.fy, l.cx, l.cy, l.skew}) h.add(v);
+  for (const double v : l.k) h.add(v);
+  for (const double v : l.p) h.add(v);
+  for (int i = 0; i < 9; ++i) h.add(c.pose.rotation_camera_from_world.data()[i]);
+  for (int i = 0; i < 3; ++i) h.add(c.pose.translation_camera_from_world[i]);
+  if (c.focus.aperture > 0) h.add("focus").add(c.focus.aperture).add(c.focus.distance);
+  return h;
+}
+
+stream::Encoding develop_encoding(Encoding e) {
+  switch (e) {
+    case Encoding::kSrgb: return stream::Encoding::kSrgb;
+    case Encoding::kRaw: return stream::Encoding::kRaw;
+    default: return stream::Encoding::kLinear;
+  }
+}
+
+void require_photographs(const std::vector<Shoot>& shoots) {
+  if (std::all_of(shoots.begin(), shoots.end(), [](const Shoot& s) { return s.photos.empty(); }))
+    throw Error("no photograph is left to work with: see the notes above for what each one lacks");
+}
+
+}  // namespace
+
+std::vector<Shoot> read_shoots(RunContext& run) {
+  std::vector<Shoot> shoots;
+  for (const Acquisition& a : run.project.acquisitions) {
+    Shoot shoot;
+    shoot.acquisition = &a;
+    shoot.lead = a.lights_of.value_or(shoots.size());
+    if (a.lights_of && a.exposure_s) shoot.ambient_scale = *a.exposure_s / *run.project.acquisitions[*a.lights_of].exposure_s;
+    if (a.role == AcquisitionRole::kNoFlash && run.project.method == SolveMethod::kNone) {
+      for (const PhotographInput& p : a.photographs) run.leave_out(p, "taken without flash, and no light is solved");
+      shoots.push_back(std::move(shoot));
+      continue;
+    }
+    std::vector<std::string> notes;
+    const std::vector<stream::Camera> cameras = stream::read_cameras(a.cameras, notes);
+    for (const std::string& n : notes) run.note_both(n);
+    for (std::size_t i = 0; i < a.photographs.size(); ++i) {
+      const PhotographInput& p = a.photographs[i];
+      const stream::Camera* camera = stream::find_camera(cameras, p.file.string());
+      if (!camera) {
+        run.leave_out(p, concat("no camera in ", a.cameras.filename().string()));
+        continue;
+      }
+      Photo photo;
+      photo.input = &p;
+      photo.index_in_acquisition = i;
+      photo.camera = *camera;
+      photo.camera.photograph = p.key;
+      if (a.focus) photo.camera.focus = {a.focus->focal_length / a.focus->f_number, a.focus->distance};
+      shoot.photos.push_back(std::move(photo));
+    }
+    shoots.push_back(std::move(shoot));
+  }
+  require_photographs(shoots);
+  return shoots;
+}
+
+void PhotographStages::develop(Shoot& shoot) {
+  const Acquisition& a = *shoot.acquisition;
+  std::vector<Photo> kept;
+  for (Photo& photo : shoot.photos) {
+    try {
+      develop_one(a, photo);
+      kept.push_back(std::move(photo));
+    } catch (const UsageError&) {
+      throw;
+    } catch (const Error& e) {
+      // A photograph that cannot be read is left out and named; a disk or memory that is full stops the run.
+      if (std::string_view(e.what()).find("no space left") != std::string_view::npos || std::string_view(e.what()).find("memory budget") != std::string_view::npos) throw;
+      run_.leave_out(*photo.input, e.what());
+    }
+  }
+  shoot.photos = std::move(kept);
+  tell_development_notes();
+  require_photographs(shoots_);
+}
+
+void PhotographStages::tell_development_notes() {
+  constexpr std::size_t kNamed = 3;
+  for (const auto& [text, files] : development_notes_) {
+    std::string names;
+    for (std::size_t i = 0; i < std::min(files.size(), kNamed); ++i) names += (i > 0 ? ", " : "") + files[i];
+    if (files.size() > kNamed) names += concat(" and ", files.size() - kNamed, " more");
+    run_.note_both(concat(names, ": ", text));
+  }
+  development_notes_.clear();
+}
+
+void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
+  const PhotographInput& p = *photo.input;
+  const std::string fingerprint = file_fingerprint(p.file);
+  Hasher h = keyed("develop");
+  h.add(fingerprint).add(static_cast<std::uint64_t>(a.encoding));
+  h.add(p.mask.empty() ? std::string("-") : file_fingerprint(p.mask));
+  h.add(a.noise ? a.noise->gain : -1.0).add(a.noise ? a.noise->read_sigma : -1.0);
+  h.add(std::uint64_t{run_.project.method != SolveMethod::kNone});
+  photo.radiance_key = h.hex();
+  const Json info = run_.task("develop/" + p.key, photo.radiance_key, {run_.folder.radiance(p.key)}, [&] {
+    stream::DevelopOptions options;
+    options.encoding = develop_encoding(a.encoding);
+    if (!p.mask.empty()) options.mask = p.mask;
+    options.find_clipping = run_.project.method != SolveMethod::kNone;   // there a picture is the colour itself, and may be of one
+    if (a.noise) options.noise = stream::NoiseModel{a.noise->gain, a.noise->read_sigma, false};
+    const stream::DevelopResult r = stream::develop(p.file, options, run_.folder.radiance(p.key), run_.report);
+    return Json{{"width", r.width_px}, {"height", r.height_px}, {"noise_gain", r.noise.gain}, {"noise_read_sigma", r.noise.read_sigma}, {"noise_estimated", r.noise.estimated},
+                {"pixels_used", r.pixels_used}, {"pixels_masked", r.pixels_masked}, {"pixels_saturated", r.pixels_saturated}, {"pixels_not_finite", r.pixels_not_finite},
+                {"notes", r.notes}};
+  });
+  run_.record.input(p.file, fingerprint);
+  for (const auto& note : info["notes"]) {
+    const std::string text = note.get<std::string>(), name = p.file.filename().string();
+    if (text.starts_with(name)) run_.record.note(text);   // of this one alone
+    else development_notes_[text].push_back(name);
+  }
+  if (info["pixels_used"] == 0) throw Error("no usable pixel: everything is masked, saturated or not finite");
+  photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
+  photo.camera.lens = stream::scaled_to(photo.camera.lens, info["width"], info["height"], p.file.string());
+}
+
+void PhotographStages::raycast(const stream::Store& store, Shoot& shoot) {
+  const Acquisition& a = *shoot.acquisition;
+  std::vector<Photo> kept;
+  for (Photo& photo : shoot.photos) {
+    surfels::GBufferOptions options;
+    if (run_.project.method != SolveMethod::kNone && shoot.has_flash()) options.flash_in_camera = a.flash->offset_in_camera;
+    options.mask_raster = run_.folder.radiance(photo.input->key);
+    Hasher h = keyed("raycast");
+    h.add(store.manifest().key).add(photo.radiance_key);
+    add_camera(h, photo.camera);
+    h.add(static_cast<std::uint64_t>(options.subpixels)).add(options.cut.pixel_error);
+    h.add(options.flash_in_camera ? std::uint64_t{1} : std::uint64_t{0});
+    if (options.flash_in_camera)
+      for (int i = 0; i < 3; ++i) h.add((*options.flash_in_camera)[i]);
+    photo.gbuffer_key = h.hex();
+    const Json info = run_.task("raycast/" + photo.input->key, photo.gbuffer_key, {run_.folder.gbuffer(photo.input->key)}, [&] {
+      const surfels::GBufferStats s = surfels::write_gbuffer(store, photo.camera, options, run_.folder.gbuffer(photo.input->key), run_.budget, run_.report);
+      return Json{{"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_from_behind", s.pixels_from_behind}, {"rays", s.rays}, {"shadow_rays", s.shadow_rays}, {"surfels", s.surfels},
+                  {"chunks", s.chunks}, {"chunks_hidden", s.chunks_hidden}, {"tiles", s.tiles}};
+    });
+    if (info["pixels_hit"] == 0) {
+      run_.leave_out(*photo.input, "it sees nothing of the cloud");
+      continue;
+    }
+    pixels_on_cloud_ += info["pixels_hit"].get<std::uint64_t>();
+    pixels_from_behind_ += info["pixels_from_behind"].get<std::uint64_t>();
+    run_.record.count("rays_primary", info["rays"]);
+    run_.record.count("rays_shadow", info["shadow_rays"]);
+    kept.push_back(std::move(photo));
+  }
+  shoot.photos = std::move(kept);
+  require_photographs(shoots_);
+}
+
+void PhotographStages::note_backs() {
+  constexpr std::uint64_t kNoted = 20;   // a thin wall may well be seen from behind here and there
+  run_.record.count("pixels_on_cloud", pixels_on_cloud_);
+  run_.record.count("pixels_from_behind", pixels_from_behind_);
+  if (pixels_from_behind_ * kNoted < pixels_on_cloud_) return;
+  run_.note_both(concat(100 * pixels_from_behind_ / pixels_on_cloud_, " % of what the photographs show of the cloud, they see from behind by the cloud's normals, and such points stay unseen: do the normals of some scans "
+                        "point inwards? cloud.normals = \"estimate\" does without them"));
+}
+
+}  // namespace chiaro::tools

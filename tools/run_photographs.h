@@ -1,0 +1,41 @@
+/// The stages that take each photograph by itself: its camera, its development, and what its pixels see of the cloud.
+#pragma once
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "stream/store/store.h"
+
+namespace chiaro::tools {
+
+struct Acquisition;
+struct Photo;
+struct RunContext;
+struct Shoot;
+
+/// The photographs of all acquisitions that have a camera; the others are left out. throws Error where none is left.
+std::vector<Shoot> read_shoots(RunContext& run);
+
+/// Photographs that turn out to be of no use are taken out of their shoot and named. throws Error where none is left in any.
+class PhotographStages {
+ public:
+  PhotographStages(RunContext& run, std::vector<Shoot>& shoots) : run_(run), shoots_(shoots) {}
+
+  void develop(Shoot& shoot);
+  void raycast(const stream::Store& store, Shoot& shoot);
+  /// Points are seen from their front alone. Where a scan's normals point inwards all of it stays unseen.
+  void note_backs();
+
+ private:
+  void develop_one(const Acquisition& a, Photo& photo);
+  /// What is said of many photographs alike is said once.
+  void tell_development_notes();
+
+  RunContext& run_;
+  std::vector<Shoot>& shoots_;
+  std::map<std::string, std::vector<std::string>> development_notes_;   ///< and the files of which they are said
+  std::uint64_t pixels_on_cloud_ = 0, pixels_from_behind_ = 0;
+};
+
+}  // namespace chiaro::tools

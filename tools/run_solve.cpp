@@ -1,0 +1,193 @@
+#include "tools/run_solve.h"
+
+#include <algorithm>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+
+#include "optimize/acquisition.h"
+#include "optimize/albedo.h"
+#include "optimize/pictures.h"
+#include "stream/base/error.h"
+#include "stream/base/file.h"
+#include "tools/light_record_json.h"
+#include "tools/resources.h"
+#include "tools/run_context_json.h"
+#include "tools/table.h"
+
+namespace chiaro::tools {
+namespace {
+using Json = nlohmann::ordered_json;
+using optimize::Method;
+
+Method solve_method(SolveMethod m) {
+  switch (m) {
+    case SolveMethod::kSingle: return Method::kSingle;
+    case SolveMethod::kAdam: return Method::kAdam;
+    case SolveMethod::kDirect: return Method::kDirect;
+    default: return Method::kJoint;
+  }
+}
+
+optimize::SkyModel sky_model(AmbientModel m) {
+  switch (m) {
+    case AmbientModel::kNone: return optimize::SkyModel::kNone;
+    case AmbientModel::kUniform: return optimize::SkyModel::kUniform;
+    case AmbientModel::kSh1: return optimize::SkyModel::kSh1;
+    case AmbientModel::kSh2: return optimize::SkyModel::kSh2;
+    case AmbientModel::kAuto: break;
+  }
+  return optimize::SkyModel::kAuto;
+}
+
+optimize::FalloffModel falloff_model(FalloffModel m) {
+  switch (m) {
+    case FalloffModel::kNone: return optimize::FalloffModel::kNone;
+    case FalloffModel::kLens: return optimize::FalloffModel::kLens;
+    case FalloffModel::kFlash: return optimize::FalloffModel::kFlash;
+    case FalloffModel::kAuto: break;
+  }
+  return optimize::FalloffModel::kAuto;
+}
+
+/// All photographs that share the lights of a lead, its own first.
+optimize::AcquisitionInput acquisition_input(RunContext& run, std::vector<Shoot>& shoots, std::size_t lead) {
+  const Acquisition& a = *shoots[lead].acquisition;
+  optimize::AcquisitionInput input;
+  input.intensity_range = a.flash->intensity_range;
+  input.sky = sky_model(a.ambient);
+  input.try_floor = a.floor != FloorModel::kNone;
+  input.floor_plane = a.floor_plane;
+  input.falloff = falloff_model(a.falloff);
+  input.method = solve_method(run.project.method);
+  std::vector<Shoot*> of_lead{&shoots[lead]};
+  for (std::size_t i = 0; i < shoots.size(); ++i)
+    if (i != lead && shoots[i].lead == lead) of_lead.push_back(&shoots[i]);
+  for (Shoot* shoot : of_lead)
+    for (Photo& photo : shoot->photos) {
+      photo.index_in_lights = input.photographs.size();
+      for (const ReferenceInput& r : shoot->acquisition->references)
+        if (r.photograph == photo.index_in_acquisition) input.references.push_back({photo.index_in_lights, r.polygon, r.albedo, r.sigma});
+      input.photographs.push_back(run.observe_input(*shoot, photo));
+      input.names.push_back(photo.input->key);
+      run.record.count(shoot->has_flash() ? "photographs_with_flash" : "photographs_without_flash", 1);
+    }
+  return input;
+}
+
+std::vector<std::string> keys_in_lights(const std::vector<Shoot>& shoots, std::size_t lead) {
+  std::map<std::size_t, std::string> keys;
+  for (const Shoot& shoot : shoots)
+    if (shoot.lead == lead)
+      for (const Photo& p : shoot.photos) keys[p.index_in_lights] = p.gbuffer_key;
+  std::vector<std::string> ordered;
+  for (const auto& [index, key] : keys) ordered.push_back(key);
+  return ordered;
+}
+
+/// What the lights depend on beside what was gathered.
+void add_light_inputs(Hasher& h, const optimize::AcquisitionInput& input, const optimize::AcquisitionOptions& options, double metres_per_unit) {
+  h.add("light").add(static_cast<std::uint64_t>(input.method)).add(static_cast<std::uint64_t>(input.sky)).add(static_cast<std::uint64_t>(input.falloff)).add(static_cast<std::uint64_t>(options.light_samples)).add(metres_per_unit);
+  for (const optimize::ObserveInput& p : input.photographs) h.add(p.noise.gain).add(p.noise.read_sigma).add(p.ambient_scale);
+  if (input.intensity_range) h.add((*input.intensity_range)[0]).add((*input.intensity_range)[1]);
+  for (const auto& r : input.references) {
+    h.add(static_cast<std::uint64_t>(r.photograph)).add(r.sigma);
+    for (const double v : r.albedo) h.add(v);
+    for (const Vec2d& v : r.polygon) h.add(v.x()).add(v.y());
+  }
+}
+
+void note_own_lights(RunContext& run, const std::vector<std::string>& names, const std::vector<optimize::OwnLight>& own_lights) {
+  for (std::size_t k = 0; k < own_lights.size(); ++k) {
+    const optimize::OwnLight& own = own_lights[k];
+    if (own.unlike)
+      run.note_both(concat(names[k], ": ", format_number(own.exposure, 3), " times as bright as the other photographs of its acquisition say; this was taken out before the lights were solved"));
+    if (own.ambient != 1) run.note_both(concat(names[k], ": ambient light ", format_number(own.ambient, 3), " times that of the others, corrected"));
+  }
+}
+
+}  // namespace
+
+void solve_lights(RunContext& run, const stream::Store& store, std::vector<Shoot>& shoots, std::size_t lead) {
+  Shoot& shoot = shoots[lead];
+  const Acquisition& a = *shoot.acquisition;
+  const optimize::AcquisitionInput input = acquisition_input(run, shoots, lead);
+  if (std::none_of(input.photographs.begin(), input.photographs.end(), [](const optimize::ObserveInput& p) { return p.flash_in_camera.has_value(); })) return;
+  optimize::AcquisitionOptions options;
+  options.seed = run.project.seed;
+  options.max_proxy_surfels = std::min(options.max_proxy_surfels, std::max<std::uint64_t>(2000, optimize::proxy_surfels_within(plannable_bytes(run.project.memory_bytes) / 2, options.rays)));
+  const std::filesystem::path folder = run.folder.acquisition(a.name);
+  make_folder(folder);
+  Hasher h = keyed("gather");
+  h.add(options.seed).add(options.proxy_surfels).add(options.max_proxy_surfels).add(static_cast<std::uint64_t>(options.rays));
+  for (const std::string& key : keys_in_lights(shoots, lead)) h.add(key);
+  h.add(std::uint64_t{input.try_floor});
+  if (input.floor_plane)
+    for (const double v : *input.floor_plane) h.add(v);
+  shoot.transport_key = h.hex();
+  run.task("gather/" + a.name, shoot.transport_key, {folder / "proxy.bin", folder / "transport.bin", folder / "floor.bin"}, [&] {
+    optimize::gather_scene(store, input, options, folder, run.budget, run.report);
+    return Json::object();
+  });
+  add_light_inputs(h, input, options, run.project.metres_per_unit);
+  shoot.light_key = h.hex();
+  std::vector<std::filesystem::path> outputs{optimize::proxy_albedo_path(folder)};
+  const Json info = run.task("light/" + a.name, shoot.light_key, outputs, [&] {
+    const optimize::Scene scene = optimize::load_scene(store, folder);
+    return light_json(optimize::solve_acquisition(store, scene, input, options, folder, run.budget, run.report));
+  });
+  shoot.lights = lights_from_json(info);
+  for (const std::string& n : shoot.lights.notes) run.note_both(n);
+  if (const double spread = shoot.lights.exposure_spread; spread > 0)
+    run.note_both(concat("acquisition \"", a.name, "\": the brightness of its photographs varies by ", format_number(100 * spread, 2), " % (standard deviation), as of a flash that is not always the same; this was taken out before the lights were solved"));
+  note_own_lights(run, input.names, shoot.lights.own_lights);
+  if (shoot.lights.proxy_seen == 0 && input.method != Method::kDirect && input.method != Method::kAdam)
+    throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph: ", kNothingSeenHint));
+}
+
+void solve_albedo(RunContext& run, const stream::Store& store, const std::vector<Shoot>& shoots, Shoot& shoot) {
+  if (shoot.photos.empty()) return;
+  const Acquisition& a = *shoot.acquisition;
+  const Shoot& lead = shoots[shoot.lead];
+  const std::filesystem::path folder = run.folder.acquisition(lead.acquisition->name);
+  std::unique_ptr<optimize::Scene> scene;   // loaded once, and only if some photograph needs it
+  optimize::AlbedoOptions options;
+  options.direct_only = run.project.method == SolveMethod::kDirect;
+  for (Photo& photo : shoot.photos) {
+    const std::size_t k = photo.index_in_lights;
+    if (lead.lights.strangers[k]) {
+      run.leave_out(*photo.input, "it shows something else than the other photographs where they show the same surfaces: another object, or the wrong camera");
+      continue;
+    }
+    Hasher h = keyed("albedo");
+    h.add(lead.light_key).add(photo.gbuffer_key).add(photo.radiance_key);
+    photo.albedo_key = h.hex();
+    const std::filesystem::path pictures = run.folder.pictures(photo.input->key), raster = run.folder.albedo(photo.input->key);
+    const Json info = run.task("albedo/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr", pictures / "sigma.exr", pictures / "light.exr"}, [&] {
+      if (!scene) scene = std::make_unique<optimize::Scene>(optimize::load_scene(store, folder));
+      options.errors = lead.lights.errors[lead.lights.light_of_photograph[k]];
+      const Vec3d flash = photo.camera.pose.world_from_camera(a.flash->offset_in_camera);
+      const optimize::AlbedoStats s = optimize::solve_albedo(*scene, run.observe_input(shoot, photo), lead.lights.lights[lead.lights.light_of_photograph[k]], flash,
+                                                             {optimize::gathered_path(folder, k), optimize::floor_flash_path(folder, k), lead.lights.pattern, lead.lights.own_lights[k]}, options, raster, run.report);
+      optimize::write_albedo_pictures(raster, pictures);
+      return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
+    });
+    run.record.count("pixels_solved", info["pixels_solved"]);
+  }
+}
+
+void take_colour(RunContext& run, Shoot& shoot) {
+  for (Photo& photo : shoot.photos) {
+    Hasher h = keyed("colour");
+    h.add(photo.radiance_key).add(photo.gbuffer_key);
+    photo.albedo_key = h.hex();
+    const std::filesystem::path pictures = run.folder.pictures(photo.input->key), raster = run.folder.albedo(photo.input->key);
+    run.task("colour/" + photo.input->key, photo.albedo_key, {raster, pictures / "albedo.exr"}, [&] {
+      optimize::colour_as_albedo(run.observe_input(shoot, photo), raster, run.report);
+      optimize::write_albedo_pictures(raster, pictures);
+      return Json::object();
+    });
+  }
+}
+
+}  // namespace chiaro::tools
