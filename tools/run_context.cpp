@@ -6,7 +6,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 /// Part of every key: raise it when a stage's result changes for the same inputs.
-constexpr std::uint64_t kPipelineVersion = 10;
+constexpr std::uint64_t kPipelineVersion = 11;
 }  // namespace
 
 Hasher keyed(std::string_view stage) {

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -36,6 +37,7 @@ struct ImageInfo {
   int bits = 0;               ///< bits a sample: 8, 16, 32, 64
   bool is_float = false;
   std::string profile;             ///< description of an embedded ICC profile; empty = none
+  std::optional<bool> says_linear; ///< whether values are proportional to radiance, by the curve of the profile (PNG: or gAMA, sRGB); absent: the file says nothing
   std::vector<std::string> notes;  ///< what was passed over in reading
 };
 

@@ -203,7 +203,7 @@ class TiffReader : public detail::RowReader {
     if (samples > info.channels) info.notes.push_back(concat("samples beyond the first ", info.channels, " of ", samples, " are passed over"));
     std::uint32_t icc_bytes = 0;
     void* icc = nullptr;
-    if (TIFFGetField(tiff, TIFFTAG_ICCPROFILE, &icc_bytes, &icc) && icc) info.profile = detail::profile_name({static_cast<const std::uint8_t*>(icc), icc_bytes});
+    if (TIFFGetField(tiff, TIFFTAG_ICCPROFILE, &icc_bytes, &icc) && icc) detail::read_profile({static_cast<const std::uint8_t*>(icc), icc_bytes}, info);
     std::uint16_t orientation = 1;
     TIFFGetFieldDefaulted(tiff, TIFFTAG_ORIENTATION, &orientation);
     detail::note_orientation(orientation, info);
