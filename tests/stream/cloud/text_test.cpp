@@ -52,6 +52,29 @@ TEST_F(Text, SevenAndNineColumns) {
   EXPECT_EQ(nine.points.normal[0], Vec3f(0, -1, 0));
 }
 
+TEST_F(Text, TheRangeOfColoursIsThatOfTheWholeFile) {
+  std::string text;
+  const auto lines = [&](int count, const char* line) {
+    for (int i = 0; i < count; ++i) text += line;
+  };
+  lines(5000, "1 2 3 0 0 0\n");   // a scan that begins with points without colour
+  lines(5000, "1 2 3 200 100 1\n");
+  const Cloud eight = read("a.xyz", text);
+  EXPECT_EQ(eight.points.colour.back(), (std::array<std::uint16_t, 3>{200 * 257, 100 * 257, 257}));
+  EXPECT_FALSE(eight.schema.colour_is_16_bit);
+  text = "x y z r g b\n";
+  lines(5000, "1 2 3 0 20 100\n");
+  lines(5000, "1 2 3 200 60000 1\n");
+  const Cloud sixteen = read("b.xyz", text);
+  EXPECT_EQ(sixteen.points.colour.front()[2], 100);
+  EXPECT_EQ(sixteen.points.colour.back()[1], 60000);
+  text = "ply\nformat ascii 1.0\nelement vertex 5000\nproperty float x\nproperty float y\nproperty float z\nproperty ushort red\nproperty ushort green\nproperty ushort blue\n"
+         "element face 5000\nproperty list uchar int vertex_indices\nend_header\n";
+  lines(5000, "1 2 3 7 8 200\n");
+  lines(5000, "5 1 2 3 4 4000\n");   // faces, which have as many values as points here
+  EXPECT_EQ(read("c.ply", text).points.colour.back()[2], 200 * 257);
+}
+
 TEST_F(Text, AHeaderLineNamesTheColumns) {
   for (const char* header : {"Z,Y,X,R,G,B,Nx,Ny,Nz,quality", "//Z Y X R G B Nx Ny Nz quality", "# z y x red green blue nx ny nz quality",
                              "\"z\";\"y\";\"x\";\"r\";\"g\";\"b\";\"nx\";\"ny\";\"nz\";\"quality\""}) {
