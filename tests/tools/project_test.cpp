@@ -269,6 +269,17 @@ TEST_F(ProjectTest, RefusesLightsThatCannotBeShared) {
               HasSubstr("there is none with a flash"));
 }
 
+TEST_F(ProjectTest, RefusesAPhotographInTwoAcquisitionsWithAFlash) {
+  const std::string second = changed("role        = \"no_flash\"", "");
+  EXPECT_THAT(complaint(second), HasSubstr("photos/photo_1.exr belongs to \"day1\" and to \"night\", and would count twice"));
+  EXPECT_EQ(complaint(kValid), "none");   // without flash it measures the light of another
+}
+
+TEST_F(ProjectTest, SaysHowPathsAreWritten) {
+  EXPECT_THAT(complaint(changed("photos/photo_*.exr", "photos\\\\photo_*.exr")), HasSubstr("no file matches \"photos\\photo_*.exr\" (from "));
+  EXPECT_THAT(complaint(changed("photos/photo_*.exr", "photos\\\\photo_*.exr")), HasSubstr("; paths are written with /, on Windows too"));
+}
+
 TEST_F(ProjectTest, RefusesPhotographsThatShareAName) {
   std::ofstream(scratch_.path() / "photos/photo_9.tif") << "x";
   EXPECT_THAT(complaint(changed("photo_*.exr", "photo_*")), HasSubstr("photo_9.exr and photo_9.tif share the name \"photo_9\""));
