@@ -161,6 +161,7 @@ class Exporter {
     writer_options.properties = rows_->properties();
     writer_options.bounds = grown_bounds(manifest);
     if (sources_ && !inserted_) writer_options.resolution = sources_->position_step();
+    if (sources_) writer_options.coordinate_system = sources_->coordinate_system();
     if (inserted_) {
       const Box3d more = grown_bounds(inserted_->store->manifest());
       writer_options.bounds.extend(more.min);

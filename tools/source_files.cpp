@@ -56,6 +56,11 @@ std::optional<double> SourceFiles::position_step() const {
   return step;
 }
 
+std::string SourceFiles::coordinate_system() const {
+  const std::string& first = schemas_.front().coordinate_system;
+  return std::all_of(schemas_.begin(), schemas_.end(), [&](const stream::PointSchema& s) { return s.coordinate_system == first; }) ? first : std::string();
+}
+
 bool SourceFiles::unchanged(const stream::Manifest& manifest, const std::vector<std::filesystem::path>& files, std::string& why) {
   if (files.empty() || files.size() != manifest.source_fingerprints.size() || files.size() != manifest.source_points.size()) {
     why = "the store does not name its source files";

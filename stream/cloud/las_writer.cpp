@@ -127,8 +127,10 @@ class LasWriter final : public RowWriter {
     }
   }
 
-  std::size_t vlr_bytes() const { return extras_.empty() ? 0 : kVlrHeaderBytes + extras_.size() * kExtraBytesBytes; }
-  std::size_t point_offset() const { return kHeaderBytes14 + vlr_bytes(); }
+  // Text that ends with a zero; a record holds no more than 65535 bytes.
+  std::size_t wkt_bytes() const { return options_.coordinate_system.empty() || options_.coordinate_system.size() >= 65535 ? 0 : kVlrHeaderBytes + options_.coordinate_system.size() + 1; }
+  std::size_t extras_bytes() const { return extras_.empty() ? 0 : kVlrHeaderBytes + extras_.size() * kExtraBytesBytes; }
+  std::size_t point_offset() const { return kHeaderBytes14 + wkt_bytes() + extras_bytes(); }
 
   static void put_text(std::byte* at, std::string_view text, std::size_t bytes) {
     std::memcpy(at, text.data(), std::min(bytes, text.size()));
@@ -145,7 +147,7 @@ class LasWriter final : public RowWriter {
     put_text(at + kSoftware, "chiaro", 32);
     store_as<std::uint16_t>(at + kHeaderSize, kHeaderBytes14);
     store_as<std::uint32_t>(at + kPointOffset, static_cast<std::uint32_t>(point_offset()));
-    store_as<std::uint32_t>(at + kNumVlrs, extras_.empty() ? 0 : 1);
+    store_as<std::uint32_t>(at + kNumVlrs, (extras_.empty() ? 0u : 1u) + (wkt_bytes() > 0 ? 1u : 0u));
     store_as<std::uint8_t>(at + kPointFormat, static_cast<std::uint8_t>(format_));
     store_as<std::uint16_t>(at + kRecordLength, static_cast<std::uint16_t>(record_bytes_));
     store_as<std::uint64_t>(at + kCount, options_.num_points);
@@ -153,8 +155,17 @@ class LasWriter final : public RowWriter {
       store_as(at + kScale + 8 * axis, scale_[static_cast<int>(axis)]);
       store_as(at + kAdd + 8 * axis, add_[static_cast<int>(axis)]);
     }
-    if (!extras_.empty()) put_extra_bytes(at + kHeaderBytes14);
+    if (wkt_bytes() > 0) put_coordinate_system(at + kHeaderBytes14);
+    if (!extras_.empty()) put_extra_bytes(at + kHeaderBytes14 + wkt_bytes());
     return header;
+  }
+
+  void put_coordinate_system(std::byte* at) const {
+    put_text(at + 2, "LASF_Projection", 16);
+    store_as<std::uint16_t>(at + 18, kWktRecord);
+    store_as<std::uint16_t>(at + 20, static_cast<std::uint16_t>(wkt_bytes() - kVlrHeaderBytes));
+    put_text(at + 22, "coordinate system", 32);
+    put_text(at + kVlrHeaderBytes, options_.coordinate_system, options_.coordinate_system.size());
   }
 
   void put_extra_bytes(std::byte* at) const {

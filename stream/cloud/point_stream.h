@@ -37,6 +37,7 @@ struct PointSchema {
   bool has_colour = false;
   bool colour_is_16_bit = false;
   std::vector<PointProperty> extras;   ///< in file order
+  std::string coordinate_system;       ///< WKT of the positions' coordinate system, as LAS has it; empty: none. Carried, never looked into
   std::size_t extra_bytes() const;     ///< packed size of one point's extras
 };
 
@@ -96,6 +97,7 @@ struct PointWriterOptions {
   Box3d bounds;                         ///< of the positions; LAS derives scale and offset from it
   std::optional<double> resolution;     ///< > 0: smallest step worth keeping, project units (LAS scale); default: the power of ten above extent / 2^31
   std::vector<std::string> comments;    ///< header comments where the format has them
+  std::string coordinate_system;        ///< WKT, where the format has a place for it (LAS)
 };
 
 /// By extension: .ply (binary little-endian), .las (1.4), .pcd (binary). throws Error for others, naming these.

@@ -251,6 +251,21 @@ TEST_F(Las, WithoutAResolutionPositionsKeepTheDigitsOfTheirExtent) {
   EXPECT_DOUBLE_EQ(scale, 1e-8);
 }
 
+TEST_F(Las, TheCoordinateSystemIsCarried) {
+  PointWriterOptions options = export_options();
+  options.num_points = 1;
+  options.coordinate_system = "PROJCS[\"WGS 84 / UTM zone 32N\",GEOGCS[]]";
+  const fs::path path = folder_.path() / "w.las";
+  auto writer = create_points(path, options);
+  const std::string row = export_row(500000.123, 0);
+  writer->write(reinterpret_cast<const std::byte*>(row.data()), 1);
+  writer->commit();
+  const Cloud cloud = read_all(path);
+  EXPECT_EQ(cloud.schema.coordinate_system, options.coordinate_system);
+  EXPECT_EQ(extra_of<std::uint16_t>(cloud, 0, "photos"), 0);   // and extra bytes are found behind it
+  EXPECT_EQ(extra_of<float>(cloud, 0, "sigma"), 0.02f);
+}
+
 TEST_F(Las, ExtraBytesDoNotRepeatNamesOfTheFixedPart) {
   PointWriterOptions options = export_options();
   options.num_points = 1;
