@@ -84,6 +84,7 @@ class PictureSource : public Source {
     if (info.is_float && options.white) limit_ = options.saturation * *options.white;
     white_unknown = !options.white && (info.is_float || (!decode_ && info.bits == 16));
     use_alpha_ = info.has_alpha && alpha_varies(image_, kOpaque);
+    if (image_.channels() < 3) notes.push_back("is grey: its red, green and blue are taken as equal");
     if (use_alpha_) notes.push_back("pixels that its alpha channel has as transparent, in full or in part, are left out");
     if (decode_) {
       const std::size_t codes = info.bits == 8 ? 256 : 65536;
@@ -165,9 +166,13 @@ class MaskSource {
       float level = use_alpha_ ? v[num - 1] : 0;
       if (!use_alpha_)
         for (std::size_t c = 0; c < colours; ++c) level += v[c] / static_cast<float>(colours);
+      brightest_ = std::max(brightest_, level);
       if (level >= 0.5f) band.flags[i] |= kUsableByMask;  // NaN fails
     }
   }
+
+  /// Of all that was applied, as a share of white.
+  float brightest() const { return brightest_; }
 
  private:
   void load(int y0, int rows) {
@@ -186,6 +191,7 @@ class MaskSource {
   }
   std::optional<ImageSource> image_;
   bool use_alpha_ = false;
+  float brightest_ = 0;
   std::vector<float> values_;
 };
 
@@ -331,6 +337,8 @@ DevelopResult develop(const fs::path& photograph, const DevelopOptions& options,
   writer.commit();
   if (clipped > 0 && std::any_of(source->clipped.begin(), source->clipped.end(), [](const auto& level) { return level.has_value(); }))
     result.notes.push_back(concat(photograph.filename().string(), ": ", clipped, " pixels share the brightest value of the file: taken as clipped, they count as saturated"));
+  if (mask && mask->brightest() < 0.5f)
+    result.notes.push_back(concat("its mask leaves nothing: white is what is used, and the brightest place of the mask is ", std::lround(255 * mask->brightest()), " of 255"));
   set_noise(result, options, estimator, *source);
   reporter.end();
   return result;

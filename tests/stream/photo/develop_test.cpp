@@ -269,6 +269,18 @@ TEST_F(Develop, MasksAreCutAtHalfInAnyFormat) {
   EXPECT_EQ(mask_of("opaque.exr"), expected);
 }
 
+TEST_F(Develop, AMaskWithoutWhiteIsNotedAndAGreyPhotographToo) {
+  write_exr(path("a.exr"), 4, 1, {"Y"}, std::vector<float>(4, 0.5f), false);
+  write_png_srgb8(path("mask.png"), 4, 1, std::vector<std::uint8_t>{0, 1, 1, 0}, 1);   // written as numbers 0 and 1
+  DevelopOptions options;
+  options.mask = path("mask.png");
+  const DevelopResult result = run(path("a.exr"), options);
+  const auto said = [&](const char* what) { return std::find(result.notes.begin(), result.notes.end(), what) != result.notes.end(); };
+  EXPECT_EQ(result.pixels_used, 0u);
+  EXPECT_TRUE(said("its mask leaves nothing: white is what is used, and the brightest place of the mask is 1 of 255"));
+  EXPECT_TRUE(said("is grey: its red, green and blue are taken as equal"));
+}
+
 TEST_F(Develop, MissingAndOddMasksAreNamed) {
   write_exr(path("a.exr"), 4, 1, {"R", "G", "B"}, std::vector<float>(12, 0.5f), false);
   DevelopOptions options;

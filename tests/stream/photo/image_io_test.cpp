@@ -358,6 +358,32 @@ TEST(Tiff, GreyAlphaAndInvertedFilesAreUnderstood) {
   EXPECT_NE(error_of([&] { read_image(path); }).find("photometric interpretation 8"), std::string::npos);
 }
 
+TEST(Tiff, BlackAndWhiteIsReadWithEitherMeaningAndBitOrder) {
+  ScratchFolder scratch;
+  const fs::path path = scratch.path() / "a.tif";
+  const int width = 19, height = 5;
+  for (const int photometric : {PHOTOMETRIC_MINISBLACK, PHOTOMETRIC_MINISWHITE})
+    for (const int compression : {COMPRESSION_NONE, COMPRESSION_CCITTFAX4})
+      for (const int order : {FILLORDER_MSB2LSB, FILLORDER_LSB2MSB}) {
+        TIFF* tiff = TIFFOpen(path.c_str(), "w");
+        for (const auto& [tag, value] : {std::pair{TIFFTAG_IMAGEWIDTH, width}, {TIFFTAG_IMAGELENGTH, height}, {TIFFTAG_BITSPERSAMPLE, 1}, {TIFFTAG_SAMPLESPERPIXEL, 1}, {TIFFTAG_PHOTOMETRIC, photometric},
+                                         {TIFFTAG_COMPRESSION, compression}, {TIFFTAG_FILLORDER, order}, {TIFFTAG_ROWSPERSTRIP, height}})
+          TIFFSetField(tiff, static_cast<std::uint32_t>(tag), value);
+        const auto is_set = [](int x, int y) { return (x * 5 + y * 3) % 7 < 3; };
+        for (int y = 0; y < height; ++y) {
+          std::vector<std::uint8_t> row((width + 7) / 8);
+          for (int x = 0; x < width; ++x)
+            if (is_set(x, y)) row[static_cast<std::size_t>(x / 8)] = static_cast<std::uint8_t>(row[static_cast<std::size_t>(x / 8)] | 0x80 >> x % 8);
+          TIFFWriteScanline(tiff, row.data(), static_cast<std::uint32_t>(y), 0);
+        }
+        TIFFClose(tiff);
+        const Image image = read_image(path);
+        ASSERT_EQ(image.channels, 1);
+        for (int y = 0; y < height; ++y)
+          for (int x = 0; x < width; ++x) ASSERT_EQ(image.at(x, y, 0), is_set(x, y) == (photometric == PHOTOMETRIC_MINISBLACK) ? 1 : 0) << photometric << " " << compression << " " << order << " at " << x << "," << y;
+      }
+}
+
 // ---- JPEG
 
 TEST(Jpeg, ReadsBaselineAndProgressiveAlike) {
