@@ -309,6 +309,15 @@ TEST_F(ProjectTest, AppliesOverridesByNameByNumberAndToAll) {
   EXPECT_TRUE(q.exports[0].fill);
 }
 
+TEST_F(ProjectTest, AnOverrideNamesWhatHasDotsInQuotationMarks) {
+  const std::string text = changed("name        = \"day1\"", "name = \"day 1.5=b\"");
+  EXPECT_EQ(load(text, {"acquisition.\"day 1.5=b\".encoding=srgb"}).acquisitions[0].encoding, Encoding::kSrgb);
+  EXPECT_EQ(load(text, {"acquisition.\"day 1.5=b\".encoding=srgb"}).acquisitions[1].encoding, Encoding::kLinear);
+  EXPECT_EQ(load(text, {"project.name=\"a = b\""}).name, "a = b");
+  EXPECT_THAT(complaint(text, {"acquisition.\"day 1.5.encoding=srgb"}), HasSubstr("expected key=value"));
+  EXPECT_THAT(complaint(text, {"acquisition.\"day 1.5=b\"x.encoding=srgb"}), HasSubstr("a quotation mark in the key is not closed"));
+}
+
 TEST_F(ProjectTest, SaysWhichOverrideIsWrong) {
   EXPECT_EQ(complaint(kValid, {"solve.method=adm"}), "--set solve.method=adm: solve.method: unknown value \"adm\"; did you mean \"adam\"?");
   EXPECT_THAT(complaint(kValid, {"solve.methd=adam"}), HasSubstr("unknown key \"methd\" in [solve]; did you mean \"method\"?"));
