@@ -119,6 +119,20 @@ std::vector<std::string> guess_names(const Samples& samples) {
         append({"intensity"}), colour();
       else if (samples.are_colours(3))
         colour(), append({"intensity"});
+      else if (samples.are_normals(3))
+        normal();
+      else if (samples.are_normals(4))
+        append({"intensity"}), normal();
+      break;
+    case 10:
+      if (samples.are_colours(4) && samples.are_normals(7))
+        append({"intensity"}), colour(), normal();
+      else if (samples.are_colours(3) && samples.are_normals(7))
+        colour(), append({"intensity"}), normal();
+      else if (samples.are_colours(3) && samples.are_normals(6))
+        colour(), normal(), append({"intensity"});
+      else if (samples.are_normals(3) && samples.are_colours(6))
+        normal(), colour(), append({"intensity"});
       break;
     case 9:
       if (samples.are_colours(3) && samples.are_normals(6))

@@ -72,7 +72,7 @@ class Lines {
       line.push_back(static_cast<char>(c));
     }
     if (!any) return false;
-    ++number_;
+    if (++number_ == 1 && line.starts_with("\xef\xbb\xbf")) line.erase(0, 3);  // byte order mark of UTF-8, as editors add it
     if (!line.empty() && line.back() == '\r') line.pop_back();
     if (!line.empty() && line.front() == '#') line.clear();
     return true;

@@ -52,6 +52,23 @@ TEST_F(Text, SevenAndNineColumns) {
   EXPECT_EQ(nine.points.normal[0], Vec3f(0, -1, 0));
 }
 
+TEST_F(Text, IntensityBesideColoursAndNormalsIsFoundInAnyOrder) {
+  for (const char* row : {"1 2 3 -40 10 20 30 0 -1 0", "1 2 3 10 20 30 -40 0 -1 0", "1 2 3 10 20 30 0 -1 0 -40", "1 2 3 0 -1 0 10 20 30 -40"}) {
+    SCOPED_TRACE(row);
+    const Cloud cloud = read("a.txt", std::string(row) + "\n" + row + "\n");
+    ASSERT_TRUE(cloud.schema.has_colour && cloud.schema.has_normal);
+    EXPECT_EQ(cloud.points.colour[1], (std::array<std::uint16_t, 3>{2570, 5140, 7710}));
+    EXPECT_EQ(cloud.points.normal[1], Vec3f(0, -1, 0));
+    EXPECT_EQ(extra_of<double>(cloud, 1, "intensity"), -40);
+  }
+  const Cloud before = read("b.txt", "1 2 3 -40 0 -1 0\n"), behind = read("c.txt", "1 2 3 0 -1 0 -40\n");
+  ASSERT_TRUE(before.schema.has_normal && behind.schema.has_normal);
+  EXPECT_EQ(before.points.normal[0], Vec3f(0, -1, 0));
+  EXPECT_EQ(extra_of<double>(before, 0, "intensity"), -40);
+  EXPECT_EQ(behind.points.normal[0], Vec3f(0, -1, 0));
+  EXPECT_EQ(extra_of<double>(behind, 0, "column_7"), -40);
+}
+
 TEST_F(Text, TheRangeOfColoursIsThatOfTheWholeFile) {
   std::string text;
   const auto lines = [&](int count, const char* line) {

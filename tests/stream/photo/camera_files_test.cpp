@@ -111,6 +111,12 @@ TEST(ColmapText, AnImageInPlaceOfPointsIsNoticedWhateverItsName) {
   EXPECT_NE(error_of([&] { read(scratch.path()); }).find("line 1: image \"a.jpg\": the line of its points that follows holds 12 words that are not all numbers"), std::string::npos);
 }
 
+TEST(ColmapText, AByteOrderMarkIsPassedOver) {
+  ScratchFolder scratch;
+  put_colmap_text(scratch.path(), std::string("\xef\xbb\xbf") + kCameras, std::string("\xef\xbb\xbf") + kImages);
+  EXPECT_EQ(read(scratch.path()).size(), 3u);
+}
+
 TEST(ColmapText, FurtherModelsAreNoted) {
   ScratchFolder scratch;
   std::vector<std::string> notes;
