@@ -83,7 +83,7 @@ class PictureSource : public Source {
     if (!info.is_float) limit_ = options.saturation * options.white.value_or(1.0);
     if (info.is_float && options.white) limit_ = options.saturation * *options.white;
     white_unknown = !options.white && (info.is_float || (!decode_ && info.bits == 16));
-    use_alpha_ = info.has_alpha && alpha_varies(image_, kOpaque);
+    use_alpha_ = info.has_alpha && !info.alpha_is_assumed && alpha_varies(image_, kOpaque);   // else it may be anything, such as infrared
     if (image_.channels() < 3) notes.push_back("is grey: its red, green and blue are taken as equal");
     if (use_alpha_) notes.push_back("pixels that its alpha channel has as transparent, in full or in part, are left out");
     if (decode_) {
@@ -154,7 +154,8 @@ class MaskSource {
     if (!fs::exists(path, ignored)) throw Error(concat(photograph.string(), ": its mask is missing: ", path.string()));
     image_.emplace(path);
     if (image_->width() != width || image_->height() != height)
-      throw Error(concat(path.string(), ": the mask is ", image_->width(), " x ", image_->height(), " pixels, its photograph ", photograph.string(), " is ", width, " x ", height));
+      throw Error(concat(path.string(), ": the mask is ", image_->width(), " x ", image_->height(), " pixels, its photograph ", photograph.string(), " is ", width, " x ", height,
+                         image_->width() / 2 == width && image_->height() / 2 == height ? " (camera RAW is read at half size: its masks have to be of that size)" : ""));
     use_alpha_ = image_->info().has_alpha && alpha_says_something();
   }
 

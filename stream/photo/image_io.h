@@ -34,6 +34,7 @@ struct ImageInfo {
   int width = 0, height = 0;
   int channels = 0;           ///< 1 grey, 2 grey + alpha, 3 RGB, 4 RGB + alpha; EXR with named channels: their number
   bool has_alpha = false;     ///< then alpha is the last channel
+  bool alpha_is_assumed = false;  ///< of a TIFF's single extra channel, which the file does not say to be alpha
   int bits = 0;               ///< bits a sample: 8, 16, 32, 64; TIFF in black and white: 1
   bool is_float = false;
   std::string profile;             ///< description of an embedded ICC profile; empty = none

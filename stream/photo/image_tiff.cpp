@@ -203,6 +203,7 @@ class TiffReader : public detail::RowReader {
     const bool declared = num_extra > 0 && extra[0] != EXTRASAMPLE_UNSPECIFIED && colours == info.channels;
     if (declared || samples == info.channels + 1) {
       info.has_alpha = true;
+      info.alpha_is_assumed = !declared;
       ++info.channels;
     }
     if (samples > info.channels) info.notes.push_back(concat("samples beyond the first ", info.channels, " of ", samples, " are passed over"));

@@ -242,6 +242,17 @@ TEST_F(Develop, TransparentPixelsHoldNoData) {
   write_png_srgb8(path("mask.png"), width, height, std::vector<std::uint8_t>(static_cast<std::size_t>(width * height), 255), 1);
   options.mask = path("mask.png");
   EXPECT_EQ(run(path("a.exr"), options).pixels_used, static_cast<std::uint64_t>(width * height - 2));
+  // A fourth channel that nothing says to be alpha is not taken for it.
+  for (const int declared : {EXTRASAMPLE_UNSPECIFIED, EXTRASAMPLE_UNASSALPHA}) {
+    TIFF* tiff = TIFFOpen(path("a.tif").c_str(), "w");
+    for (const auto& [tag, value] : {std::pair{TIFFTAG_IMAGEWIDTH, 4}, {TIFFTAG_IMAGELENGTH, 1}, {TIFFTAG_BITSPERSAMPLE, 8}, {TIFFTAG_SAMPLESPERPIXEL, 4}, {TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_RGB}}) TIFFSetField(tiff, static_cast<std::uint32_t>(tag), value);
+    const auto extra = static_cast<std::uint16_t>(declared);
+    TIFFSetField(tiff, TIFFTAG_EXTRASAMPLES, 1, &extra);
+    std::vector<std::uint8_t> row{90, 90, 90, 255, 90, 90, 90, 200, 90, 90, 90, 0, 90, 90, 90, 255};
+    TIFFWriteScanline(tiff, row.data(), 0, 0);
+    TIFFClose(tiff);
+    EXPECT_EQ(run(path("a.tif"), {}).pixels_used, declared == EXTRASAMPLE_UNSPECIFIED ? 4u : 2u);
+  }
   // An alpha channel of nothing but zeros was not meant.
   for (std::size_t i = 3; i < values.size(); i += 4) values[i] = 0;
   write_exr(path("a.exr"), width, height, {"R", "G", "B", "A"}, values, false);
@@ -293,6 +304,11 @@ TEST_F(Develop, MissingAndOddMasksAreNamed) {
   message = error_of([&] { run(path("a.exr"), options); });
   EXPECT_NE(message.find("the mask is 2 x 3 pixels"), std::string::npos) << message;
   EXPECT_NE(message.find("is 4 x 1"), std::string::npos) << message;
+  EXPECT_EQ(message.find("half size"), std::string::npos) << message;
+  write_png_srgb8(path("c.png"), 8, 2, std::vector<std::uint8_t>(16, 255), 1);
+  options.mask = path("c.png");
+  message = error_of([&] { run(path("a.exr"), options); });
+  EXPECT_NE(message.find("camera RAW is read at half size"), std::string::npos) << message;
   EXPECT_FALSE(fs::exists(raster_path()));
 }
 
