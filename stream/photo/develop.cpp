@@ -73,6 +73,8 @@ class PictureSource : public Source {
     const std::string source = info.profile.empty() ? std::string("the file") : concat("its colour profile \"", info.profile, "\"");
     if (!decode_ && info.says_linear == false)
       notes.push_back(concat(source, " says that values are not linear, and they are taken as linear: export the picture with a linear profile, or use encoding = \"srgb\" where its curve is sRGB's"));
+    else if (!decode_ && !info.profile.empty() && !info.says_linear)
+      notes.push_back(concat(source, " does not say by a curve whether values are linear; they are taken as linear"));
     else if (!decode_ && info.bits == 8)
       notes.push_back("8-bit values are taken as linear; ordinary pictures of 8 bits are not: for those use encoding = \"srgb\"");
     if (decode_ && info.says_linear == true)
