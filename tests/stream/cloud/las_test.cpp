@@ -95,6 +95,14 @@ TEST_F(Las, ColoursOfEightBitsInSixteenBitFieldsAreScaled) {
   EXPECT_FALSE(cloud.schema.colour_is_16_bit);
 }
 
+TEST_F(Las, ColoursOfEightBitsInTheUpperBytesAreWhatTheyWere) {
+  std::string record = record_of(2, 0);
+  record.replace(20, 6, bytes_of(static_cast<std::uint16_t>(255 << 8), static_cast<std::uint16_t>(247 << 8), std::uint16_t{0}));
+  const Cloud cloud = read("a.las", make_las(2, 2, {record}));
+  EXPECT_EQ(cloud.points.colour[0], (std::array<std::uint16_t, 3>{65535, 247 * 257, 0}));   // not 65280: white stays white
+  EXPECT_FALSE(cloud.schema.colour_is_16_bit);
+}
+
 TEST_F(Las, UndescribedExtraBytesAreCarried) {
   const Cloud cloud = read("a.las", make_las(2, 0, {record_of(0, 0) + "\x05\x06"}));
   EXPECT_EQ(extra_of<std::uint8_t>(cloud, 0, "extra_byte_1"), 6);

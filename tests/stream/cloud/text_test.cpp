@@ -40,6 +40,13 @@ TEST_F(Text, SixColumnsAreColourOrNormal) {
   EXPECT_EQ(extra_of<double>(other, 0, "column_6"), 10.5);
 }
 
+TEST_F(Text, XyzrgbHasColoursWhateverTheirRange) {
+  const Cloud unit = read("a.xyzrgb", "1 2 3 0.5 0 1\n1 2 3 0 0 0\n"), bytes = read("b.xyzrgb", "1 2 3 255 0 10\n");
+  ASSERT_TRUE(unit.schema.has_colour && bytes.schema.has_colour);
+  EXPECT_EQ(unit.points.colour[0], (std::array<std::uint16_t, 3>{32768, 0, 65535}));
+  EXPECT_EQ(bytes.points.colour[0], (std::array<std::uint16_t, 3>{65535, 0, 2570}));
+}
+
 TEST_F(Text, SevenAndNineColumns) {
   const Cloud seven = read("a.txt", "1 2 3 -40.5 1 2 3\n");
   EXPECT_EQ(extra_of<double>(seven, 0, "intensity"), -40.5);
