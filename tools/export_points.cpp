@@ -37,6 +37,12 @@ Box3d grown_bounds(const stream::Manifest& manifest) {
   return {manifest.bounds.min - step, manifest.bounds.max + step};
 }
 
+bool is_written_as(const std::filesystem::path& file, std::string_view extension) {
+  std::string is = file.extension().string();
+  for (char& c : is) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
+  return is == extension;
+}
+
 bool on_one_disk(const std::filesystem::path& a, const std::filesystem::path& b) {
   struct stat in_a {}, in_b {};
   return ::stat(a.c_str(), &in_a) == 0 && ::stat(b.c_str(), &in_b) == 0 && in_a.st_dev == in_b.st_dev;
@@ -50,9 +56,8 @@ class Exporter {
     if (with_albedo()) inserted_ = open_inserted(store, options.layer);
     if (inserted_) stats_.points_inserted = inserted_->seen();
     open_sources();
-    const bool wide = sources_ ? sources_->position_is_double() : extent_needs_double(manifest);
-    const bool wide_colours = options.file.extension() == ".las" || options.file.extension() == ".LAS";  // its fields have 16 bits anyway
-    rows_.emplace(wide, wide_colours, with_albedo(), inserted_.has_value(), sources_ ? sources_->carried() : std::vector<stream::PointProperty>{});
+    const bool wide_colours = is_written_as(options.file, ".las");  // its fields have 16 bits anyway
+    rows_.emplace(positions_are_double(), wide_colours, with_albedo(), inserted_.has_value(), sources_ ? sources_->carried() : std::vector<stream::PointProperty>{});
     for (const std::uint64_t n : manifest.source_points) num_sources_ += n;
     num_sources_ = std::max(num_sources_, manifest.points_read);
   }
@@ -80,6 +85,15 @@ class Exporter {
  private:
   bool with_albedo() const { return !options_.layer.empty(); }
 
+  /// Most programs that read PCD take single precision alone.
+  bool positions_are_double() const {
+    const bool needed = extent_needs_double(store_.manifest());
+    if (!is_written_as(options_.file, ".pcd")) return sources_ ? sources_->position_is_double() : needed;
+    if (!needed || (sources_ && !sources_->position_is_double())) return false;
+    report_.note("export: the positions are too far from the origin for single precision and are written as double, which many programs do not read from PCD: PLY or LAS is safer");
+    return true;
+  }
+
   /// What cannot be read again does not stand in the way of the result.
   void open_sources() {
     const std::vector<std::string>& then = store_.manifest().source_files;
@@ -90,7 +104,7 @@ class Exporter {
       if (with_albedo()) ours.insert(ours.end(), {"albedo_r", "albedo_g", "albedo_b", "sigma", "photos"});
       if (inserted_) ours.push_back("inserted");
       try {
-        sources_.emplace(store_.manifest(), files, ours, budget_.free_bytes() / 2, report_);
+        sources_.emplace(store_.manifest(), files, SourceFiles::Carry{ours, !is_written_as(options_.file, ".ply")}, budget_.free_bytes() / 2, report_);
         return;
       } catch (const Error& e) {
         why = e.what();
@@ -146,6 +160,8 @@ class Exporter {
     writer_options.num_points = manifest.points_stored + stats_.points_inserted;
     writer_options.properties = rows_->properties();
     writer_options.bounds = grown_bounds(manifest);
+    if (sources_ && !inserted_) writer_options.resolution = sources_->position_step();
+    if (sources_) writer_options.coordinate_system = sources_->coordinate_system();
     if (inserted_) {
       const Box3d more = grown_bounds(inserted_->store->manifest());
       writer_options.bounds.extend(more.min);

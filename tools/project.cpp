@@ -35,7 +35,7 @@ std::vector<fs::path> as_files(const toml::node& node, const std::string& key, c
   for (const toml::node* pattern : patterns) {
     const std::string text = as_text(*pattern, key);
     const std::vector<fs::path> matches = expand_pattern(folder, text);
-    if (matches.empty()) fail(*pattern, concat(key, ": ", has_wildcard(text) ? "no file matches \"" : "no such file: \"", text, "\" (from ", folder.string(), ")"));
+    if (matches.empty()) fail(*pattern, concat(key, ": ", has_wildcard(text) ? "no file matches \"" : "no such file: \"", text, "\" (from ", folder.string(), ")", text.find('\\') != std::string::npos ? "; paths are written with /, on Windows too" : ""));
     for (const fs::path& file : matches) {
       std::error_code code;
       if (!fs::is_regular_file(file, code)) fail(*pattern, concat(key, ": ", file.string(), " is not a file"));
@@ -314,6 +314,20 @@ void read_acquisitions(const toml::node& node, const fs::path& folder, Project& 
   join_lights(node, project);
 }
 
+/// One photograph has one flash setting. Without flash it may measure the ambient light of several acquisitions.
+void refuse_shared_photographs(const toml::node& node, const Project& project) {
+  std::map<fs::path, const Acquisition*> owners;
+  for (const Acquisition& acquisition : project.acquisitions) {
+    if (acquisition.role == AcquisitionRole::kNoFlash) continue;
+    for (const PhotographInput& photograph : acquisition.photographs) {
+      std::error_code code;
+      const fs::path canonical = fs::weakly_canonical(photograph.file, code);
+      const auto [owner, is_new] = owners.emplace(code ? photograph.file : canonical, &acquisition);
+      if (!is_new) fail(node, concat("acquisition.photographs: ", photograph.file.string(), " belongs to \"", owner->second->name, "\" and to \"", acquisition.name, "\", and would count twice"));
+    }
+  }
+}
+
 /// Folder names of photographs: the stem where that is unique over the project.
 void assign_keys(const toml::node& node, Project& project) {
   std::map<std::string, int> uses;
@@ -424,6 +438,7 @@ Project load_project(const fs::path& path, std::span<const std::string> override
   read_cloud(section.need("cloud", "[cloud] with files = [\"cloud.ply\"]"), folder, project.cloud);
   const toml::node& acquisitions = section.need("acquisition", "[[acquisition]] with photographs and cameras");
   read_acquisitions(acquisitions, folder, project);
+  refuse_shared_photographs(acquisitions, project);
   assign_keys(acquisitions, project);
   if (const toml::node* solve = section.find("solve")) {
     const Section method(as_table(*solve, "solve"), "solve", {"method"});

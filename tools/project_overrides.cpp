@@ -31,17 +31,35 @@ toml::table parse_value(const std::string& value, const std::string& source) {
   }
 }
 
+/// Parts between dots; a part in quotation marks may hold dots itself: acquisition."day 1.5".encoding.
 std::vector<std::string> split_key(const std::string& key, const std::string& source) {
   std::vector<std::string> parts;
   std::size_t from = 0;
   do {
-    const std::size_t dot = std::min(key.find('.', from), key.size());
-    parts.push_back(key.substr(from, dot - from));
+    std::size_t end = std::min(key.find('.', from), key.size());
+    std::string part = key.substr(from, end - from);
+    if (part.starts_with('"')) {
+      const std::size_t close = key.find('"', from + 1);
+      end = close + 1;
+      if (close == std::string::npos || (end < key.size() && key[end] != '.')) throw UsageError(source + ": a quotation mark in the key is not closed");
+      part = key.substr(from + 1, close - from - 1);
+    }
+    parts.push_back(part);
     if (parts.back().empty()) throw UsageError(source + ": expected key=value with a dotted key such as solve.method=adam");
-    from = dot + 1;
+    from = end + 1;
   } while (from <= key.size());
   if (parts.size() > 8) throw UsageError(source + ": the key has more than 8 parts");
   return parts;
+}
+
+/// Where the value begins: the first = outside of quotation marks.
+std::size_t find_equals(const std::string& text) {
+  bool quoted = false;
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    if (text[i] == '"') quoted = !quoted;
+    if (text[i] == '=' && !quoted) return i;
+  }
+  return std::string::npos;
 }
 
 struct Override {
@@ -98,7 +116,7 @@ void apply_overrides(toml::table& root, std::span<const std::string> overrides) 
   for (const std::string& text : overrides) {
     Override set;
     set.source = "--set " + text;
-    const std::size_t equals = text.find('=');
+    const std::size_t equals = find_equals(text);
     if (equals == std::string::npos) throw UsageError(set.source + ": expected key=value");
     const std::string key = trimmed(text.substr(0, equals));
     set.value = trimmed(text.substr(equals + 1));

@@ -1,6 +1,7 @@
 #include "tools/source_files.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <utility>
 
@@ -10,15 +11,54 @@
 namespace chiaro::tools {
 
 using stream::PointProperty;
+using stream::ScalarType;
 
-SourceFiles::SourceFiles(const stream::Manifest& manifest, std::vector<std::filesystem::path> files, const std::vector<std::string>& replaced, std::uint64_t memory_bytes, Reporter& report)
+namespace {
+
+/// Without blanks and other characters than ASCII's, which not every format, and not every program, takes. A character of several bytes becomes one '_'.
+std::string plain_name(const std::string& name) {
+  std::string plain;
+  for (const char c : name) {
+    const auto byte = static_cast<unsigned char>(c);
+    if ((byte & 0xc0) == 0x80) continue;   // a further byte of UTF-8
+    plain += byte > ' ' && byte < 127 ? c : '_';
+  }
+  return plain.empty() ? "unnamed" : plain;
+}
+
+template <class T>
+double load_as_double(const std::byte* at) {
+  T value;
+  std::memcpy(&value, at, sizeof value);
+  return static_cast<double>(value);
+}
+
+}  // namespace
+
+SourceFiles::SourceFiles(const stream::Manifest& manifest, std::vector<std::filesystem::path> files, const Carry& carry, std::uint64_t memory_bytes, Reporter& report)
     : manifest_(manifest), files_(std::move(files)), memory_bytes_(memory_bytes) {
   for (const std::filesystem::path& file : files_) {
     const auto reader = stream::open_points(file, memory_bytes);
     schemas_.push_back(reader->schema());
     position_is_double_ |= reader->schema().position_is_double;
   }
-  choose_carried(replaced, report);
+  choose_carried(carry, report);
+}
+
+std::optional<double> SourceFiles::position_step() const {
+  double step = 0;
+  for (const stream::PointSchema& schema : schemas_) {
+    if (!schema.grid) return std::nullopt;
+    const double finest = schema.grid->scale.cwiseAbs().minCoeff();
+    step = step > 0 ? std::min(step, finest) : finest;
+  }
+  if (!(step > 0) || !std::isfinite(step)) return std::nullopt;
+  return step;
+}
+
+std::string SourceFiles::coordinate_system() const {
+  const std::string& first = schemas_.front().coordinate_system;
+  return std::all_of(schemas_.begin(), schemas_.end(), [&](const stream::PointSchema& s) { return s.coordinate_system == first; }) ? first : std::string();
 }
 
 bool SourceFiles::unchanged(const stream::Manifest& manifest, const std::vector<std::filesystem::path>& files, std::string& why) {
@@ -47,7 +87,10 @@ const stream::PointBlock& SourceFiles::read(std::size_t max_points) {
     reader_ = stream::open_points(files_[file_], memory_bytes_);
     left_in_file_ = manifest_.source_points[file_];
     fields_.clear();
-    for (const PointProperty& p : carried_) fields_.push_back(*find_field(schemas_[file_], p));
+    for (std::size_t k = 0; k < carried_.size(); ++k) {
+      fields_.push_back(*find_field(schemas_[file_], carried_from_[k]));
+      if (carried_[k].type != carried_from_[k].type) fields_.back().as_double = carried_from_[k].type;
+    }
   }
   if (!reader_->read(block_, static_cast<std::size_t>(std::min<std::uint64_t>(max_points, left_in_file_))))
     throw Error(concat(files_[file_].string(), ": ends early, ", left_in_file_, " of ", manifest_.source_points[file_], " points are missing"));
@@ -58,7 +101,12 @@ const stream::PointBlock& SourceFiles::read(std::size_t max_points) {
 std::byte* SourceFiles::copy_carried(std::size_t i, std::byte* to) const {
   const std::byte* from = block_.extras.data() + i * schemas_[file_].extra_bytes();
   for (const CarriedField& f : fields_) {
-    std::memcpy(to, from + f.offset, f.bytes);
+    if (f.as_double) {   // as long as it was
+      const double value = *f.as_double == ScalarType::kI64 ? load_as_double<std::int64_t>(from + f.offset) : load_as_double<std::uint64_t>(from + f.offset);
+      std::memcpy(to, &value, sizeof value);
+    } else {
+      std::memcpy(to, from + f.offset, f.bytes);
+    }
     to += f.bytes;
   }
   return to;
@@ -73,16 +121,33 @@ std::optional<SourceFiles::CarriedField> SourceFiles::find_field(const stream::P
   return std::nullopt;
 }
 
-void SourceFiles::choose_carried(const std::vector<std::string>& replaced, Reporter& report) {
+void SourceFiles::choose_carried(const Carry& carry, Reporter& report) {
   for (const PointProperty& p : schemas_.front().extras) {
-    if (std::find(replaced.begin(), replaced.end(), p.name) != replaced.end()) {
+    if (std::find(carry.replaced.begin(), carry.replaced.end(), p.name) != carry.replaced.end()) {
       report.note(concat("export: the input's property \"", p.name, "\" is replaced by the result's"));
     } else if (std::all_of(schemas_.begin(), schemas_.end(), [&](const stream::PointSchema& s) { return find_field(s, p).has_value(); })) {
-      carried_.push_back(p);
+      add_carried(p, carry, report);
     } else {
       report.note(concat("export: the input's property \"", p.name, "\" is left out: not every source file has it"));
     }
   }
+}
+
+void SourceFiles::add_carried(const PointProperty& property, const Carry& carry, Reporter& report) {
+  PointProperty written = property;
+  const auto is_taken = [&](const std::string& name) {
+    return std::find(carry.replaced.begin(), carry.replaced.end(), name) != carry.replaced.end() ||
+           std::any_of(carried_.begin(), carried_.end(), [&](const PointProperty& other) { return other.name == name; });
+  };
+  const std::string plain = written.name = plain_name(property.name);
+  for (int k = 2; is_taken(written.name); ++k) written.name = concat(plain, "_", k);
+  if (written.name != property.name) report.note(concat("export: the input's property \"", property.name, "\" is written as \"", written.name, "\""));
+  if (!carry.long_integers && (property.type == ScalarType::kI64 || property.type == ScalarType::kU64)) {
+    written.type = ScalarType::kF64;
+    report.note(concat("export: the input's property \"", property.name, "\" is written as double, exact up to 2^53: the format has no whole numbers of 64 bits"));
+  }
+  carried_.push_back(written);
+  carried_from_.push_back(property);
 }
 
 }  // namespace chiaro::tools

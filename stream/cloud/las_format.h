@@ -30,6 +30,7 @@ enum HeaderOffset : std::size_t {
 inline constexpr std::size_t kHeaderBytes12 = 227, kHeaderBytes13 = 235, kHeaderBytes14 = 375;
 inline constexpr std::size_t kVlrHeaderBytes = 54, kExtraBytesBytes = 192;
 inline constexpr std::uint16_t kExtraBytesRecord = 4;   ///< record id of the Extra Bytes VLR of user "LASF_Spec"
+inline constexpr std::uint16_t kWktRecord = 2112;      ///< record id of the VLR of user "LASF_Projection" with the coordinate system as WKT
 inline constexpr std::uint16_t kLaszipRecord = 22204;  ///< record id of the VLR of user "laszip encoded"
 inline constexpr unsigned kCompressedBit = 0x80;       ///< in the point format's byte: LAZ
 

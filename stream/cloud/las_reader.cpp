@@ -39,6 +39,7 @@ class LasOpener {
     layout_.row_bytes = header_.record_bytes;
     RowDecoder decoder(file_.path(), std::move(layout_), header_.count);
     decoder.schema().position_is_double = !float_holds_the_positions();
+    decoder.schema().coordinate_system = std::move(coordinate_system_);
     if (compressed_) return read_laz_rows(std::move(file_), std::move(decoder), laz_rows());
     const FixedRows rows{header_.point_offset, header_.count, false};
     return read_fixed_rows(std::move(file_), std::move(decoder), rows);
@@ -182,6 +183,11 @@ class LasOpener {
         for (std::size_t at_record = 0; at_record + kExtraBytesBytes <= records.size(); at_record += kExtraBytesBytes)
           add_described(records.data() + at_record);
       }
+      if (std::memcmp(vlr + 2, "LASF_Projection\0", 16) == 0 && load_as<std::uint16_t>(vlr + 18) == kWktRecord) {
+        coordinate_system_.resize(bytes);
+        file_.read_at(content, coordinate_system_.data(), coordinate_system_.size());
+        coordinate_system_.resize(std::min(coordinate_system_.find('\0'), coordinate_system_.size()));
+      }
       if (std::memcmp(vlr + 2, "laszip encoded\0", 15) == 0 && load_as<std::uint16_t>(vlr + 18) == kLaszipRecord) {
         laz_.vlr.resize(bytes);
         file_.read_at(content, laz_.vlr.data(), laz_.vlr.size());
@@ -247,6 +253,7 @@ class LasOpener {
   File file_;
   std::uint64_t size_;
   bool compressed_ = false;
+  std::string coordinate_system_;
   LazRows laz_;
   std::vector<std::byte> bytes_;
   LasHeader header_;

@@ -1,6 +1,8 @@
 // LAS 1.4, point format 6 (7 with colour, 8 with near infrared). What the format has no field for goes to extra bytes.
 #include <algorithm>
+#include <cctype>
 #include <cmath>
+#include <set>
 
 #include "stream/base/error.h"
 #include "stream/cloud/formats.h"
@@ -12,6 +14,28 @@ namespace chiaro::stream {
 namespace {
 
 using namespace las;
+
+// Names that readers give to the fixed part of point formats 6 to 8. A dimension of extra bytes that repeats one of them makes files that some readers refuse.
+constexpr const char* kFixedNames[] = {"x", "y", "z", "intensity", "bit_fields", "return_number", "number_of_returns", "classification_flags", "synthetic", "key_point", "withheld", "overlap",
+                                       "scanner_channel", "scan_direction", "scan_direction_flag", "edge_of_flight_line", "classification", "user_data", "scan_angle", "point_source_id", "gps_time",
+                                       "red", "green", "blue", "nir"};
+constexpr std::size_t kNameBytes = 32;
+
+std::string lower(std::string text) {
+  for (char& c : text) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  return text;
+}
+
+// Readers of some programs do not tell upper from lower case, and 32 bytes are all that a name has.
+std::string extra_name(const std::string& name, std::set<std::string>& taken) {
+  if (taken.empty()) taken.insert(std::begin(kFixedNames), std::end(kFixedNames));
+  std::string wanted = (taken.count(lower(name)) ? "input_" + name : name).substr(0, kNameBytes), free = wanted;
+  for (int k = 2; !taken.insert(lower(free)).second; ++k) {
+    const std::string number = concat("_", k);
+    free = wanted.substr(0, kNameBytes - number.size()) + number;
+  }
+  return free;
+}
 
 class LasWriter final : public RowWriter {
  public:
@@ -55,10 +79,11 @@ class LasWriter final : public RowWriter {
     if (has_infrared) take({"nir", ScalarType::kU16, kInfraredAt[format_], 0, 0});
     record_bytes_ = kRecordBytes[format_];
     std::size_t offset = 0;
+    std::set<std::string> taken;
     for (std::size_t i = 0; i < properties.size(); ++i) {
       const std::size_t bytes = scalar_bytes(properties[i].type);
       if (!used[i]) {
-        extras_.push_back({{i, offset, properties[i].type}, record_bytes_, properties[i].name});
+        extras_.push_back({{i, offset, properties[i].type}, record_bytes_, extra_name(properties[i].name, taken)});
         record_bytes_ += bytes;
       }
       offset += bytes;
@@ -80,6 +105,14 @@ class LasWriter final : public RowWriter {
       for (const RowSlot& slot : colour_) used[slot.index] = true;
   }
 
+  // Without a resolution nothing is known of the precision of the positions: the finest decimal step that the extent affords, but none that a double would not tell apart there.
+  double default_step() const {
+    const Box3d& box = options_.bounds;
+    const double extent = box.empty() ? 0 : (box.max - box.min).maxCoeff(), largest = box.empty() ? 0 : box.max.cwiseAbs().cwiseMax(box.min.cwiseAbs()).maxCoeff();
+    const double least = std::max({extent / 2147483648.0, largest * 0x1p-52, 1e-12});
+    return std::pow(10.0, std::ceil(std::log10(least) - 1e-9));
+  }
+
   // Stored integers are 32-bit: a step that the extent cannot afford is made coarser. Offsets lie on the grid of steps, near the middle.
   void plan_scale() {
     const Box3d& box = options_.bounds;
@@ -88,15 +121,16 @@ class LasWriter final : public RowWriter {
     for (int axis = 0; axis < 3; ++axis) {
       const double extent = box.empty() ? 0 : box.max[axis] - box.min[axis];
       const double finest = extent / 4294000000.0;  // a little fewer than 2^32 steps
-      scale_[axis] = std::max(finest, options_.resolution.value_or(std::max(extent / 2147483648.0, 1e-4)));
-      if (!(scale_[axis] > 0)) scale_[axis] = 1e-4;
+      scale_[axis] = std::max(finest, options_.resolution.value_or(default_step()));
       const double middle = box.empty() ? 0 : box.min[axis] + extent / 2;
       add_[axis] = std::floor(middle / (scale_[axis] * 1000)) * (scale_[axis] * 1000);
     }
   }
 
-  std::size_t vlr_bytes() const { return extras_.empty() ? 0 : kVlrHeaderBytes + extras_.size() * kExtraBytesBytes; }
-  std::size_t point_offset() const { return kHeaderBytes14 + vlr_bytes(); }
+  // Text that ends with a zero; a record holds no more than 65535 bytes.
+  std::size_t wkt_bytes() const { return options_.coordinate_system.empty() || options_.coordinate_system.size() >= 65535 ? 0 : kVlrHeaderBytes + options_.coordinate_system.size() + 1; }
+  std::size_t extras_bytes() const { return extras_.empty() ? 0 : kVlrHeaderBytes + extras_.size() * kExtraBytesBytes; }
+  std::size_t point_offset() const { return kHeaderBytes14 + wkt_bytes() + extras_bytes(); }
 
   static void put_text(std::byte* at, std::string_view text, std::size_t bytes) {
     std::memcpy(at, text.data(), std::min(bytes, text.size()));
@@ -113,7 +147,7 @@ class LasWriter final : public RowWriter {
     put_text(at + kSoftware, "chiaro", 32);
     store_as<std::uint16_t>(at + kHeaderSize, kHeaderBytes14);
     store_as<std::uint32_t>(at + kPointOffset, static_cast<std::uint32_t>(point_offset()));
-    store_as<std::uint32_t>(at + kNumVlrs, extras_.empty() ? 0 : 1);
+    store_as<std::uint32_t>(at + kNumVlrs, (extras_.empty() ? 0u : 1u) + (wkt_bytes() > 0 ? 1u : 0u));
     store_as<std::uint8_t>(at + kPointFormat, static_cast<std::uint8_t>(format_));
     store_as<std::uint16_t>(at + kRecordLength, static_cast<std::uint16_t>(record_bytes_));
     store_as<std::uint64_t>(at + kCount, options_.num_points);
@@ -121,8 +155,17 @@ class LasWriter final : public RowWriter {
       store_as(at + kScale + 8 * axis, scale_[static_cast<int>(axis)]);
       store_as(at + kAdd + 8 * axis, add_[static_cast<int>(axis)]);
     }
-    if (!extras_.empty()) put_extra_bytes(at + kHeaderBytes14);
+    if (wkt_bytes() > 0) put_coordinate_system(at + kHeaderBytes14);
+    if (!extras_.empty()) put_extra_bytes(at + kHeaderBytes14 + wkt_bytes());
     return header;
+  }
+
+  void put_coordinate_system(std::byte* at) const {
+    put_text(at + 2, "LASF_Projection", 16);
+    store_as<std::uint16_t>(at + 18, kWktRecord);
+    store_as<std::uint16_t>(at + 20, static_cast<std::uint16_t>(wkt_bytes() - kVlrHeaderBytes));
+    put_text(at + 22, "coordinate system", 32);
+    put_text(at + kVlrHeaderBytes, options_.coordinate_system, options_.coordinate_system.size());
   }
 
   void put_extra_bytes(std::byte* at) const {
@@ -134,8 +177,7 @@ class LasWriter final : public RowWriter {
     for (const Extra& extra : extras_) {
       constexpr std::uint8_t kTypes[] = {2, 1, 4, 3, 6, 5, 8, 7, 9, 10};  // in the order of ScalarType
       store_as<std::uint8_t>(at + 2, kTypes[static_cast<std::size_t>(extra.from.type)]);
-      put_text(at + 4, extra.name, 32);
-      put_text(at + 160, extra.name.size() > 32 ? extra.name : std::string(), 32);
+      put_text(at + 4, extra.name, kNameBytes);
       at += kExtraBytesBytes;
     }
   }

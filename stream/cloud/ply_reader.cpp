@@ -7,6 +7,7 @@
 
 #include "stream/base/error.h"
 #include "stream/cloud/formats.h"
+#include "stream/cloud/ply_list_rows.h"
 #include "stream/cloud/row_decoder.h"
 #include "stream/cloud/row_readers.h"
 #include "stream/cloud/scalars.h"
@@ -190,11 +191,16 @@ class ElementSkipper {
   std::uint64_t window_offset_ = 0;
 };
 
-RowLayout vertex_layout(const File& file, const PlyElement& vertex) {
+const PlyProperty* first_list(const PlyElement& element) {
+  const auto list = std::find_if(element.properties.begin(), element.properties.end(), [](const PlyProperty& p) { return p.is_list; });
+  return list == element.properties.end() ? nullptr : &*list;
+}
+
+/// Of the properties that are no lists.
+RowLayout vertex_layout(const PlyElement& vertex) {
   RowLayout layout;
   for (const PlyProperty& property : vertex.properties) {
-    if (property.is_list)
-      throw Error(concat(file.path().string(), ": the list '", property.name, "' inside the element 'vertex' is not supported"));
+    if (property.is_list) continue;
     RowField field;
     field.name = property.name;
     field.type = property.type;
@@ -235,7 +241,10 @@ std::unique_ptr<PointReader> open_ply(File file) {
   if (vertex_idx == header.elements.size()) throw Error(concat(file.path().string(), ": the PLY header declares no element 'vertex'"));
   const PlyElement& vertex = header.elements[vertex_idx];
   if (vertex.count == 0) throw Error(concat(file.path().string(), ": holds no points"));
-  RowDecoder decoder(file.path(), vertex_layout(file, vertex), vertex.count);
+  RowDecoder decoder(file.path(), vertex_layout(vertex), vertex.count);
+  const PlyProperty* list = first_list(vertex);
+  if (list && header.encoding == Encoding::kAscii)
+    throw Error(concat(file.path().string(), ": the list '", list->name, "' inside the element 'vertex' is not supported in ASCII; save the file as binary PLY"));
   if (header.encoding == Encoding::kAscii) return open_ascii(std::move(file), header, vertex_idx, std::move(decoder));
 
   FixedRows rows;
@@ -244,7 +253,13 @@ std::unique_ptr<PointReader> open_ply(File file) {
   rows.count = vertex.count;
   ElementSkipper skipper(file, rows.swap_bytes);
   for (std::size_t e = 0; e < vertex_idx; ++e) rows.offset = skipper.skip(header.elements[e], rows.offset);
-  return read_fixed_rows(std::move(file), std::move(decoder), rows);
+  if (!list) return read_fixed_rows(std::move(file), std::move(decoder), rows);
+  ListRows list_rows;
+  list_rows.offset = rows.offset;
+  list_rows.count = rows.count;
+  list_rows.swap_bytes = rows.swap_bytes;
+  for (const PlyProperty& property : vertex.properties) list_rows.columns.push_back({property.name, property.type, property.is_list, property.count_type});
+  return read_list_rows(std::move(file), std::move(decoder), std::move(list_rows));
 }
 
 }  // namespace chiaro::stream

@@ -37,6 +37,7 @@ struct PointSchema {
   bool has_colour = false;
   bool colour_is_16_bit = false;
   std::vector<PointProperty> extras;   ///< in file order
+  std::string coordinate_system;       ///< WKT of the positions' coordinate system, as LAS has it; empty: none. Carried, never looked into
   std::size_t extra_bytes() const;     ///< packed size of one point's extras
 };
 
@@ -79,7 +80,8 @@ class PointReader {
 std::unique_ptr<PointReader> open_points(const std::filesystem::path& path, std::uint64_t memory_bytes = std::uint64_t{1} << 32);
 
 /// Writes rows of packed little-endian scalars. Known names: x y z nx ny nz red green blue (u8 or u16, sRGB) albedo_r albedo_g albedo_b sigma photos;
-/// LAS keeps x y z and colour in its own fields and the rest as extra bytes; PCD and PLY keep all.
+/// LAS keeps x y z and colour in its own fields and the rest as extra bytes, under a name of their own where one of its fields has that name and another
+/// type ("input_intensity"); PCD and PLY keep all.
 class PointWriter {
  public:
   virtual ~PointWriter() = default;
@@ -93,8 +95,9 @@ struct PointWriterOptions {
   std::uint64_t num_points = 0;
   std::vector<PointProperty> properties;
   Box3d bounds;                         ///< of the positions; LAS derives scale and offset from it
-  std::optional<double> resolution;     ///< smallest step worth keeping, project units (LAS scale); default extent / 2^31, at least 1e-4 of a unit
+  std::optional<double> resolution;     ///< > 0: smallest step worth keeping, project units (LAS scale); default: the power of ten above extent / 2^31
   std::vector<std::string> comments;    ///< header comments where the format has them
+  std::string coordinate_system;        ///< WKT, where the format has a place for it (LAS)
 };
 
 /// By extension: .ply (binary little-endian), .las (1.4), .pcd (binary). throws Error for others, naming these.

@@ -146,14 +146,16 @@ void RowDecoder::sample_colours(const std::byte* rows, std::size_t count) {
     for (const RowField& field : colour_) {
       const double value = field_value(field, rows + i * layout_.row_bytes);
       if (value > colour_max_) colour_max_ = value;
+      if (value >= 1 && value <= 65535) colour_low_bits_ |= static_cast<unsigned>(value) & 255u;
     }
 }
 
 void RowDecoder::decide_colour_scale() {
   if (!samples_wanted_) return;
   const bool floats = is_float(colour_[0].type);
-  colour_scale_ = floats && colour_max_ <= 1 ? 65535 : colour_max_ <= 255 ? 257 : 1;
-  schema_.colour_is_16_bit = colour_scale_ != 257;
+  const bool upper_bytes = !floats && colour_max_ > 255 && colour_low_bits_ == 0;   // 8 bits times 256, as many writers of LAS have them
+  colour_scale_ = floats && colour_max_ <= 1 ? 65535 : colour_max_ <= 255 ? 257 : upper_bytes ? 257 / 256.0 : 1;
+  schema_.colour_is_16_bit = colour_max_ > 255 ? !upper_bytes : colour_scale_ != 257;
 }
 
 void RowDecoder::decode(const std::byte* rows, std::size_t count, PointBlock& block) const {
@@ -209,13 +211,14 @@ void RowDecoder::decode_colours(const std::byte* rows, std::size_t count, std::a
     value *= colour_scale_;
     return static_cast<std::uint16_t>(value > 0 ? std::min(value, 65535.0) + 0.5 : 0);  // NaN goes to 0 too
   };
-  const auto scale = static_cast<std::uint32_t>(colour_scale_);  // 1 or 257 for integers
+  const auto scale = static_cast<std::uint32_t>(colour_scale_);
+  const bool whole_scale = colour_scale_ < 2 ? colour_scale_ > 1 - 1e-9 && colour_scale_ < 1 + 1e-9 : scale == 257;   // 1 or 257
   for (std::size_t k = 0; k < 3; ++k) {
     const RowField& field = colour_[k];
     const std::byte* at = rows + field.offset;
     if (field.type == ScalarType::kU8 && !samples_wanted_) {
       for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = static_cast<std::uint16_t>(257 * std::to_integer<int>(*at));
-    } else if (field.type == ScalarType::kU16 && !field.scaled && scale <= 257) {
+    } else if (field.type == ScalarType::kU16 && !field.scaled && whole_scale) {
       for (std::size_t i = 0; i < count; ++i, at += row_bytes) to[i][k] = static_cast<std::uint16_t>(std::min<std::uint32_t>(65535, load_as<std::uint16_t>(at) * scale));
     } else {
       for (std::size_t i = 0; i < count; ++i) to[i][k] = encoded(field_value(field, rows + i * row_bytes));

@@ -74,6 +74,7 @@ class RowDecoder {
   bool samples_wanted_ = false;
   PointParts parts_ = PointParts::kAll;
   double colour_max_ = 0, colour_scale_ = 257;
+  unsigned colour_low_bits_ = 0;   // lower bytes of the samples
 };
 
 /// The value of one field of one row.

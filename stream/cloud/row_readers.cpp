@@ -134,9 +134,33 @@ class TextRowReader : public PointReader {
     announced_ = rows_.count.value_or(0);
     const std::size_t count = parse_rows(kRowsSampled);
     decoder_.sample_colours(packed_.data(), count);
+    if (count == kRowsSampled) sample_further_on(static_cast<double>(lines_.next_offset() - rows_.offset) / kRowsSampled);
     decoder_.decide_colour_scale();
     lines_ = LineReader(file_, rows_.offset, rows_.line);
     done_ = 0;
+  }
+
+  // Scans often begin with points that are black. Runs of rows spread over the file; what is no row (the line that a run starts in, another scan's count) is passed
+  // over here. Where rows are counted, something else may follow them (faces), and rows may become shorter: the last tenth by the length of the first ones is left out.
+  void sample_further_on(double bytes_of_row) {
+    constexpr std::uint64_t kRuns = 64, kRunLength = 64;
+    const double counted = rows_.count && !rows_.to_end ? 0.9 * bytes_of_row * static_cast<double>(*rows_.count) : 1e18;
+    const auto bytes = static_cast<std::uint64_t>(std::min(counted, static_cast<double>(file_.size() - rows_.offset)));
+    std::vector<std::string_view> tokens;
+    packed_.assign(decoder_.layout().row_bytes, std::byte{0});
+    for (std::uint64_t run = 1; run < kRuns; ++run) {
+      LineReader lines(file_, rows_.offset + bytes / kRuns * run);
+      std::string_view line;
+      if (!lines.next(line)) break;
+      for (std::uint64_t k = 0; k < kRunLength && lines.next(line) && lines.next_offset() <= rows_.offset + bytes; ++k) {
+        try {
+          parse_row(lines.line(), trimmed(line), tokens, packed_.data());
+        } catch (const Error&) {
+          continue;
+        }
+        decoder_.sample_colours(packed_.data(), 1);
+      }
+    }
   }
 
   bool next_row_line(std::string_view& line) {

@@ -99,7 +99,8 @@ class Samples {
   std::vector<std::vector<double>> columns_;
 };
 
-std::vector<std::string> guess_names(const Samples& samples) {
+/// xyzrgb: columns 4 to 6 of a file with that extension are colours, as Open3D writes them from 0 to 1.
+std::vector<std::string> guess_names(const Samples& samples, bool xyzrgb) {
   std::vector<std::string> names = {"x", "y", "z"};
   const auto append = [&](std::initializer_list<const char*> more) { names.insert(names.end(), more.begin(), more.end()); };
   const auto colour = [&] { append({"red", "green", "blue"}); };
@@ -109,16 +110,30 @@ std::vector<std::string> guess_names(const Samples& samples) {
       append({"intensity"});
       break;
     case 6:
-      if (samples.are_normals(3))
-        normal();
-      else if (samples.are_colours(3))
+      if (xyzrgb || (!samples.are_normals(3) && samples.are_colours(3)))
         colour();
+      else if (samples.are_normals(3))
+        normal();
       break;
     case 7:
       if (samples.are_colours(4))
         append({"intensity"}), colour();
       else if (samples.are_colours(3))
         colour(), append({"intensity"});
+      else if (samples.are_normals(3))
+        normal();
+      else if (samples.are_normals(4))
+        append({"intensity"}), normal();
+      break;
+    case 10:
+      if (samples.are_colours(4) && samples.are_normals(7))
+        append({"intensity"}), colour(), normal();
+      else if (samples.are_colours(3) && samples.are_normals(7))
+        colour(), append({"intensity"}), normal();
+      else if (samples.are_colours(3) && samples.are_normals(6))
+        colour(), normal(), append({"intensity"});
+      else if (samples.are_normals(3) && samples.are_colours(6))
+        normal(), colour(), append({"intensity"});
       break;
     case 9:
       if (samples.are_colours(3) && samples.are_normals(6))
@@ -239,7 +254,9 @@ class TextOpener {
     if (names_line_ > 0 && names_.size() != num_columns_)
       fail(rows_.line, concat(num_columns_, " values, line ", names_line_, " names ", names_.size(), " columns"));
     if (names_.size() != num_columns_) {
-      names_ = samples_.num_columns() > 0 ? guess_names(samples_) : std::vector<std::string>{"x", "y", "z"};
+      std::string extension = file_.path().extension().string();
+      for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+      names_ = samples_.num_columns() > 0 ? guess_names(samples_, extension == ".xyzrgb") : std::vector<std::string>{"x", "y", "z"};
       while (names_.size() < num_columns_) names_.push_back(concat("column_", names_.size() + 1));
     }
     for (std::size_t i = 0; i < num_columns_; ++i)

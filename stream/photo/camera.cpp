@@ -290,9 +290,13 @@ Lens scaled_to(const Lens& lens, int width_px, int height_px, const std::string&
   if (width_px <= 0 || height_px <= 0 || lens.width_px <= 0 || lens.height_px <= 0)
     throw Error(concat(where, ": size ", width_px, " x ", height_px, " cannot be matched with a lens of ", lens.width_px, " x ", lens.height_px, " pixels"));
   const double scale_x = static_cast<double>(width_px) / lens.width_px, scale_y = static_cast<double>(height_px) / lens.height_px;
-  if (std::abs(scale_x / scale_y - 1) > 0.01)
+  // Each side is within a pixel of a proportion that both share.
+  const bool in_proportion = std::max((width_px - 1.0) / lens.width_px, (height_px - 1.0) / lens.height_px) <= std::min((width_px + 1.0) / lens.width_px, (height_px + 1.0) / lens.height_px);
+  constexpr double kLeastScaling = 0.02;
+  const bool same = width_px == lens.width_px && height_px == lens.height_px;
+  if (!in_proportion || (!same && std::max(std::abs(scale_x - 1), std::abs(scale_y - 1)) < kLeastScaling))
     throw Error(concat(where, ": is ", width_px, " x ", height_px, " pixels, but its camera was calibrated for ", lens.width_px, " x ", lens.height_px,
-                       ": another aspect ratio (rotated or cropped?)"));
+                       ": no copy in another size (rotated, cropped, with a border, undistorted, or RAW where the camera is that of smaller JPEGs?)"));
   Lens out = lens;
   out.width_px = width_px;
   out.height_px = height_px;

@@ -75,7 +75,8 @@ inline float focus_share(float blur_px) { return 1 / (1 + 0.75f * blur_px * blur
 /// throws Error naming the camera if a value is not finite, a focal length or size not positive, or the rotation not orthonormal to 1e-4 (then re-orthonormalised).
 void check_camera(Camera& camera, const std::string& where);
 
-/// The same lens for a picture of another size (e.g. a 25 % copy): fx, fy, cx, cy, skew scale. throws Error if the aspect ratios differ by more than 1 %.
+/// The same lens for a copy of the picture in another size (e.g. 25 %): fx, fy, cx, cy, skew scale. throws Error where it can be no such copy: sides that are
+/// not in one proportion, but for rounding to pixels, or that differ by less than 2 %, as borders and crops do (nobody makes such copies).
 Lens scaled_to(const Lens& lens, int width_px, int height_px, const std::string& where);
 
 }  // namespace chiaro::stream

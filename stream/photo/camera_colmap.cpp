@@ -23,14 +23,19 @@ struct Model {
   std::size_t num_params;
 };
 constexpr Model kModels[] = {{0, "SIMPLE_PINHOLE", 3}, {1, "PINHOLE", 4},         {2, "SIMPLE_RADIAL", 4},         {3, "RADIAL", 5},        {4, "OPENCV", 8},
-                             {5, "OPENCV_FISHEYE", 8}, {6, "FULL_OPENCV", 12},    {8, "SIMPLE_RADIAL_FISHEYE", 4}, {9, "RADIAL_FISHEYE", 5}};
-constexpr const char* kSupported = "SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV, OPENCV_FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE";
+                             {5, "OPENCV_FISHEYE", 8}, {6, "FULL_OPENCV", 12},    {8, "SIMPLE_RADIAL_FISHEYE", 4}, {9, "RADIAL_FISHEYE", 5},
+                             {14, "SIMPLE_FISHEYE", 3}, {15, "FISHEYE", 4}};
+constexpr const char* kSupported = "SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV, OPENCV_FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE, SIMPLE_FISHEYE, FISHEYE";
 
 const char* refused_name(int id) {
   switch (id) {
     case 7: return "FOV";
     case 10: return "THIN_PRISM_FISHEYE";
     case 11: return "RAD_TAN_THIN_PRISM_FISHEYE";
+    case 12: return "SIMPLE_DIVISION";
+    case 13: return "DIVISION";
+    case 16: return "EUCM";
+    case 17: return "EQUIRECTANGULAR";
     default: return "unknown";
   }
 }
@@ -67,25 +72,30 @@ class Lines {
       line.push_back(static_cast<char>(c));
     }
     if (!any) return false;
-    ++number_;
+    if (++number_ == 1 && line.starts_with("\xef\xbb\xbf")) line.erase(0, 3);  // byte order mark of UTF-8, as editors add it
     if (!line.empty() && line.back() == '\r') line.pop_back();
     if (!line.empty() && line.front() == '#') line.clear();
     return true;
   }
 
-  /// Passes over a line and counts its words.
-  std::uint64_t skip() {
+  struct Skipped {
     std::uint64_t words = 0;
+    bool numeric = true;  ///< holds no character that stands in no number
+  };
+  /// Passes over a line.
+  Skipped skip() {
+    Skipped line;
     bool in_word = false, any = false;
     for (int c = get(); c >= 0; c = get()) {
       any = true;
       if (c == '\n') break;
       const bool blank = c == ' ' || c == '\t' || c == '\r';
-      words += !blank && !in_word;
+      line.words += !blank && !in_word;
+      line.numeric = line.numeric && (blank || std::strchr("0123456789+-.eEnaif", c) != nullptr);
       in_word = !blank;
     }
     number_ += any;
-    return words;
+    return line;
   }
 
   std::string where() const { return where(number_); }
@@ -246,10 +256,10 @@ std::vector<Camera> read_images_text(const fs::path& path, Lenses lenses) {
     const std::size_t begin = rest.find_first_not_of(" \t"), end = rest.find_last_not_of(" \t");
     if (begin != std::string_view::npos) record.name = rest.substr(begin, end - begin + 1);  // names may hold blanks
     collector.add(record, where);
-    const std::uint64_t words = lines.skip();
-    if (words % 3 != 0)
-      throw Error(concat(where, ": image \"", record.name, "\": the line of its points that follows holds ", words,
-                         " numbers, expected a multiple of 3 (each image takes two lines; the second may be empty)"));
+    const Lines::Skipped points = lines.skip();
+    if (points.words % 3 != 0 || !points.numeric)
+      throw Error(concat(where, ": image \"", record.name, "\": the line of its points that follows holds ", points.words, points.numeric ? " numbers" : " words that are not all numbers",
+                         ", expected a multiple of 3 numbers (each image takes two lines; the second may be empty)"));
   }
   return collector.take();
 }
@@ -317,13 +327,13 @@ Lens lens_from_colmap(const std::string& model, int width_px, int height_px, std
   lens.height_px = height_px;
   std::size_t at = 0;
   const auto next = [&] { return params[at++]; };
-  const bool one_focal = known->id == 0 || known->id == 2 || known->id == 3 || known->id == 8 || known->id == 9;
+  const bool one_focal = known->id == 0 || known->id == 2 || known->id == 3 || known->id == 8 || known->id == 9 || known->id == 14;
   lens.fx = next();
   lens.fy = one_focal ? lens.fx : next();
   lens.cx = next();
   lens.cy = next();
   const bool tangential = known->id == 4 || known->id == 6;
-  if (known->id == 5 || known->id == 8 || known->id == 9) lens.kind = LensKind::kFisheye;
+  if (known->id == 5 || known->id == 8 || known->id == 9 || known->id == 14 || known->id == 15) lens.kind = LensKind::kFisheye;
   for (std::size_t k = 0; k < 2 && at < params.size(); ++k) lens.k[k] = next();
   if (tangential) {
     lens.p[0] = next();

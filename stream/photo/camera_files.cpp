@@ -25,11 +25,20 @@ bool has_colmap(const fs::path& folder, const char* extension) {
   return is_file(folder / concat("cameras", extension)) && is_file(folder / concat("images", extension));
 }
 
+/// COLMAP numbers the models of photographs that it could not connect.
+void note_further_models(const fs::path& model, std::vector<std::string>& notes) {
+  if (model.filename() != "0") return;
+  std::string others;
+  for (int k = 1; has_colmap(model.parent_path() / std::to_string(k), ".bin") || has_colmap(model.parent_path() / std::to_string(k), ".txt"); ++k) others += concat(k > 1 ? ", " : "", k);
+  if (!others.empty()) notes.push_back(concat(model.string(), ": is read; there are further models beside it (", others, "), whose photographs are not connected with its own: they are not read"));
+}
+
 std::vector<Camera> read_folder(const fs::path& folder, std::vector<std::string>& notes) {
   for (const char* inside : {"", "0", "sparse", "sparse/0"}) {
     const fs::path at = *inside ? folder / inside : folder;
     const bool binary = has_colmap(at, ".bin"), text = has_colmap(at, ".txt");
     if (!binary && !text) continue;
+    note_further_models(at, notes);
     if (binary && text) notes.push_back(concat(at.string(), ": holds a binary and a text model; the binary one is used"));
     return detail::read_colmap(at, binary, notes);
   }

@@ -26,7 +26,7 @@ std::vector<Camera> read_cameras(const std::filesystem::path& folder_or_file, st
 /// throws   Error naming the candidates where two fit equally well.
 const Camera* find_camera(std::span<const Camera> cameras, const std::string& photograph_path);
 
-/// The lens of a COLMAP model by name ("PINHOLE", ... "FULL_OPENCV", "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE") and its parameters
+/// The lens of a COLMAP model by name ("PINHOLE", ... "FULL_OPENCV", "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE") and its parameters
 /// in COLMAP's order. throws Error naming `where`, the model and the number of parameters.
 Lens lens_from_colmap(const std::string& model, int width_px, int height_px, std::span<const double> params, const std::string& where);
 

@@ -30,6 +30,12 @@ inline std::string_view take_word(std::string_view& text) {
   return word;
 }
 
+inline std::string_view trimmed(std::string_view text) {
+  constexpr std::string_view kBlanks = " \t\r\n";
+  const std::size_t begin = text.find_first_not_of(kBlanks);
+  return begin == std::string_view::npos ? std::string_view() : text.substr(begin, text.find_last_not_of(kBlanks) - begin + 1);
+}
+
 /// The whole word as a number, independent of the locale; nullopt if it is none or, for real numbers, not finite.
 template <class T>
 std::optional<T> parse_number(std::string_view word) {

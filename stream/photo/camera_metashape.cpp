@@ -22,6 +22,7 @@ struct Similarity {
 
 struct Sensor {
   std::string label, problem;  ///< problem: why its cameras cannot be used; empty = none
+  bool rolling = false;
   Lens lens;
 };
 
@@ -46,6 +47,8 @@ class Reader {
     note_reference(chunk);
     read_group(chunk.child("cameras"));
     note_names("have no position in the file (not aligned) and are left out", unaligned_);
+    note_names("belong to a rig and have their position from another camera (master_id), which is not supported; they are left out", of_rigs_);
+    note_names("have a rolling shutter in the file, which is not followed: each is taken as exposed at once", rolling_);
     note_names("are disabled in the file and are left out", disabled_);
     if (cameras_.empty()) notes_.push_back(concat(path_, ": holds no camera with a position"));
     return std::move(cameras_);
@@ -69,6 +72,17 @@ class Reader {
   static bool is_enabled(const pugi::xml_node& node) {
     const std::string_view value = node.attribute("enabled").value();
     return value != "false" && value != "0";
+  }
+
+  /// Versions differ in where they say it, and whether as a switch or by what was found.
+  static bool is_rolling(const pugi::xml_node& node) {
+    for (const pugi::xml_node child : node.children()) {
+      const std::string_view name = child.name(), property = child.attribute("name").value(), text = child.text().get(), value = child.attribute("value").value();
+      if (!name.starts_with("rolling_shutter") && !property.starts_with("rolling_shutter")) continue;
+      const std::string_view says = value.empty() ? text : value;
+      if (says != "false" && says != "0" && says != "disabled") return true;
+    }
+    return false;
   }
 
   double number(const pugi::xml_node& node, std::string_view word) const {
@@ -139,6 +153,7 @@ class Reader {
     for (const pugi::xml_node node : chunk.child("sensors").children("sensor")) {
       Sensor sensor;
       sensor.label = node.attribute("label").value();
+      sensor.rolling = is_rolling(node);
       const pugi::xml_node calibration = best_calibration(node);
       if (!calibration)
         sensor.problem = "has no <calibration>";
@@ -149,11 +164,25 @@ class Reader {
     }
   }
 
+  void note_unused(const pugi::xml_node& calibration, const std::string& label) const {
+    constexpr const char* kUsed[] = {"resolution", "f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4"};
+    constexpr const char* kAbout[] = {"date", "projection", "width", "height", "image", "covariance", "meta"};
+    std::string unused;
+    for (const pugi::xml_node child : calibration.children()) {
+      const auto is = [&](const char* name) { return std::string_view(child.name()) == name; };
+      const auto value = detail::parse_number<double>(detail::trimmed(child.text().get()));
+      if (child.type() != pugi::node_element || std::any_of(std::begin(kUsed), std::end(kUsed), is) || std::any_of(std::begin(kAbout), std::end(kAbout), is) || (value && *value == 0)) continue;
+      unused += concat(unused.empty() ? "" : ", ", child.name());
+    }
+    if (!unused.empty()) notes_.push_back(concat(path_, ": the calibration of sensor \"", label, "\" holds ", unused, ", which is not followed"));
+  }
+
   void read_calibration(const pugi::xml_node& node, const pugi::xml_node& calibration, Sensor& sensor) const {
     std::string_view type = calibration.attribute("type").value();
     if (type.empty()) type = node.attribute("type").value();
+    if (type == "equidistant_fisheye") type = "fisheye";  // as newer versions call it
     if (type != "frame" && type != "fisheye") {
-      sensor.problem = concat("is of type \"", type, "\", expected frame or fisheye");
+      sensor.problem = concat("is of type \"", type, "\", expected frame or (equidistant) fisheye");
       return;
     }
     if (!calibration.child("f")) {
@@ -172,6 +201,7 @@ class Reader {
     lens.skew = child_number(calibration, "b2");
     lens.cx = 0.5 * lens.width_px + child_number(calibration, "cx");
     lens.cy = 0.5 * lens.height_px + child_number(calibration, "cy");
+    note_unused(calibration, sensor.label);
     const bool frame = lens.kind == LensKind::kPerspective;
     lens.k[0] = child_number(calibration, "k1");
     lens.k[1] = child_number(calibration, "k2");
@@ -202,7 +232,7 @@ class Reader {
     const std::string label = node.attribute("label").value();
     if (!is_enabled(node)) return disabled_.push_back(label);
     const pugi::xml_node transform = node.child("transform");
-    if (!transform) return unaligned_.push_back(label);
+    if (!transform) return (node.attribute("master_id") ? of_rigs_ : unaligned_).push_back(label);
     const std::string at = concat(where(node), ": camera \"", label, "\"");
     if (label.empty()) throw Error(concat(at, ": has no label"));
     const auto sensor = sensors_.find(node.attribute("sensor_id").value());
@@ -225,6 +255,7 @@ class Reader {
     const Vec3d centre = world.rotation * (world.scale * Vec3d(m[3], m[7], m[11])) + world.translation;
     camera.pose.translation_camera_from_world = -camera.pose.rotation_camera_from_world * centre;
     check_camera(camera, where(node));
+    if (sensor->second.rolling || is_rolling(node)) rolling_.push_back(label);
     cameras_.push_back(std::move(camera));
   }
 
@@ -252,7 +283,7 @@ class Reader {
   std::map<std::string, Similarity> components_;
   std::map<std::string, Sensor> sensors_;
   std::vector<Camera> cameras_;
-  std::vector<std::string> unaligned_, disabled_;
+  std::vector<std::string> unaligned_, disabled_, of_rigs_, rolling_;
 };
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <memory>
 
 #include "stream/base/error.h"
@@ -33,7 +34,7 @@ class Source {
   virtual void read(Band& band) = 0;
   int width = 0, height = 0;
   bool dilate = false;
-  bool no_white = false;              ///< nothing says where white is
+  bool white_unknown = false;         ///< nothing says where white is, or values may be clipped below it
   std::array<std::optional<float>, 3> clipped;   ///< values from here on are saturated
   double quantum = 0;  ///< spacing of the linear values near black; 0 for floats
   std::vector<std::string> notes;
@@ -43,6 +44,20 @@ void set_pixel(Band& band, std::size_t i, const float* rgb) {
   const bool finite = std::isfinite(rgb[0]) && std::isfinite(rgb[1]) && std::isfinite(rgb[2]);
   if (!finite) band.flags[i] |= kNotFinite;
   for (std::size_t c = 0; c < 3; ++c) band.rgb[c][i] = finite ? rgb[c] : 0.0f;
+}
+
+/// Whether a picture is transparent somewhere and opaque somewhere else. An alpha channel that is the same all over says nothing.
+bool alpha_varies(ImageSource& image, float opaque) {
+  const std::size_t num = static_cast<std::size_t>(image.channels());
+  std::vector<float> values;
+  bool any = false, all = true;
+  for (int y = 0; y < image.height() && !(any && !all); y += kBandRows) {
+    const int rows = std::min(kBandRows, image.height() - y);
+    values.resize(static_cast<std::size_t>(image.width()) * static_cast<std::size_t>(rows) * num);
+    image.read_rows(y, rows, values.data());
+    for (std::size_t i = num - 1; i < values.size(); i += num) (values[i] >= opaque ? any : all) = values[i] >= opaque;
+  }
+  return any && !all;
 }
 
 class PictureSource : public Source {
@@ -55,14 +70,24 @@ class PictureSource : public Source {
     decode_ = options.encoding == Encoding::kSrgb;
     if (decode_ && info.is_float)
       throw Error(concat(path.string(), ": holds floating-point values, which are linear; declared as encoding = \"srgb\", expected \"linear\""));
-    if (!decode_ && info.bits == 8)
-      notes.push_back("8-bit values are taken as linear, as declared; if it is an ordinary JPEG or PNG, use encoding = \"srgb\"");
-    if (decode_ && !info.profile.empty() && info.profile.find("sRGB") == std::string::npos)
+    const std::string source = info.profile.empty() ? std::string("the file") : concat("its colour profile \"", info.profile, "\"");
+    if (!decode_ && info.says_linear == false)
+      notes.push_back(concat(source, " says that values are not linear, and they are taken as linear: export the picture with a linear profile, or use encoding = \"srgb\" where its curve is sRGB's"));
+    else if (!decode_ && !info.profile.empty() && !info.says_linear)
+      notes.push_back(concat(source, " does not say by a curve whether values are linear; they are taken as linear"));
+    else if (!decode_ && info.bits == 8)
+      notes.push_back("8-bit values are taken as linear; ordinary pictures of 8 bits are not: for those use encoding = \"srgb\"");
+    if (decode_ && info.says_linear == true)
+      notes.push_back(concat(source, " says that values are linear, and they are decoded with the sRGB curve: use encoding = \"linear\""));
+    else if (decode_ && !info.profile.empty() && info.profile.find("sRGB") == std::string::npos)
       notes.push_back(concat("its colour profile is \"", info.profile, "\"; it is decoded with the sRGB curve all the same"));
     dilate = info.bits == 8;
     if (!info.is_float) limit_ = options.saturation * options.white.value_or(1.0);
     if (info.is_float && options.white) limit_ = options.saturation * *options.white;
-    no_white = info.is_float && !options.white;
+    white_unknown = !options.white && (info.is_float || (!decode_ && info.bits == 16));
+    use_alpha_ = info.has_alpha && !info.alpha_is_assumed && alpha_varies(image_, kOpaque);   // else it may be anything, such as infrared
+    if (image_.channels() < 3) notes.push_back("is grey: its red, green and blue are taken as equal");
+    if (use_alpha_) notes.push_back("pixels that its alpha channel has as transparent, in full or in part, are left out");
     if (decode_) {
       const std::size_t codes = info.bits == 8 ? 256 : 65536;
       for (std::size_t i = 0; i < codes; ++i) curve_.push_back(static_cast<float>(linear_from_srgb(static_cast<double>(i) / static_cast<double>(codes - 1))));
@@ -83,13 +108,15 @@ class PictureSource : public Source {
         if (clipped[c] && rgb[c] >= *clipped[c]) band.flags[i] |= kSaturated;
       if (decode_)
         for (float& v : rgb) v = curve_[static_cast<std::size_t>(std::lround(v * static_cast<float>(curve_.size() - 1)))];
+      if (use_alpha_ && !(in[num - 1] >= kOpaque)) rgb[0] = std::numeric_limits<float>::quiet_NaN();   // no data
       set_pixel(band, i, rgb);
     }
   }
 
  private:
+  static constexpr float kOpaque = 0.998f;   // the largest code but one of 8 bits is not: what is transparent in part is mixed with something else
   ImageSource image_;
-  bool decode_ = false;
+  bool decode_ = false, use_alpha_ = false;
   double limit_ = 0;
   std::vector<float> curve_, values_;
 };
@@ -129,8 +156,9 @@ class MaskSource {
     if (!fs::exists(path, ignored)) throw Error(concat(photograph.string(), ": its mask is missing: ", path.string()));
     image_.emplace(path);
     if (image_->width() != width || image_->height() != height)
-      throw Error(concat(path.string(), ": the mask is ", image_->width(), " x ", image_->height(), " pixels, its photograph ", photograph.string(), " is ", width, " x ", height));
-    use_alpha_ = image_->info().has_alpha && alpha_varies();
+      throw Error(concat(path.string(), ": the mask is ", image_->width(), " x ", image_->height(), " pixels, its photograph ", photograph.string(), " is ", width, " x ", height,
+                         image_->width() / 2 == width && image_->height() / 2 == height ? " (camera RAW is read at half size: its masks have to be of that size)" : ""));
+    use_alpha_ = image_->info().has_alpha && alpha_says_something();
   }
 
   void apply(Band& band) {
@@ -141,9 +169,13 @@ class MaskSource {
       float level = use_alpha_ ? v[num - 1] : 0;
       if (!use_alpha_)
         for (std::size_t c = 0; c < colours; ++c) level += v[c] / static_cast<float>(colours);
+      brightest_ = std::max(brightest_, level);
       if (level >= 0.5f) band.flags[i] |= kUsableByMask;  // NaN fails
     }
   }
+
+  /// Of all that was applied, as a share of white.
+  float brightest() const { return brightest_; }
 
  private:
   void load(int y0, int rows) {
@@ -151,7 +183,7 @@ class MaskSource {
     image_->read_rows(y0, rows, values_.data());
   }
   /// An alpha channel that is white all over says nothing; then the colours are the mask.
-  bool alpha_varies() {
+  bool alpha_says_something() {
     const std::size_t num = static_cast<std::size_t>(image_->channels());
     for (int y = 0; y < image_->height(); y += kBandRows) {
       load(y, std::min(kBandRows, image_->height() - y));
@@ -162,6 +194,7 @@ class MaskSource {
   }
   std::optional<ImageSource> image_;
   bool use_alpha_ = false;
+  float brightest_ = 0;
   std::vector<float> values_;
 };
 
@@ -233,7 +266,9 @@ void find_clipping(Source& source, std::optional<MaskSource>& mask, Reporter& re
     const std::vector<std::uint8_t> good = usable(band);
     for (std::size_t c = 0; c < 3; ++c) finders[c].add(band.rgb[c], good);
   }
-  for (std::size_t c = 0; c < 3; ++c) source.clipped[c] = finders[c].level();
+  constexpr double kLeastCodes = 400;   // below, the values that a plateau is compared with are too few codes
+  for (std::size_t c = 0; c < 3; ++c)
+    if (const std::optional<float> level = finders[c].level(); level && static_cast<double>(*level) >= kLeastCodes * source.quantum) source.clipped[c] = level;
 }
 
 void count(DevelopResult& result, const std::vector<std::uint8_t>& mask) {
@@ -285,7 +320,7 @@ DevelopResult develop(const fs::path& photograph, const DevelopOptions& options,
   NoiseEstimator estimator(source->width, source->height);
   RowDilation dilation(source->width, source->height, source->dilate ? options.dilate_px : 0);
   reporter.begin(concat("develop ", photograph.filename().string()), static_cast<std::uint64_t>(source->height), "rows");
-  if (options.find_clipping && source->no_white) find_clipping(*source, mask, reporter);
+  if (options.find_clipping && source->white_unknown) find_clipping(*source, mask, reporter);
   std::uint64_t clipped = 0;
   Band band;
   for (int y0 = 0; y0 < source->height; y0 += kBandRows) {
@@ -303,8 +338,10 @@ DevelopResult develop(const fs::path& photograph, const DevelopOptions& options,
     reporter.progress(static_cast<std::uint64_t>(band.y0 + band.rows));
   }
   writer.commit();
-  if (source->no_white && clipped > 0)
+  if (clipped > 0 && std::any_of(source->clipped.begin(), source->clipped.end(), [](const auto& level) { return level.has_value(); }))
     result.notes.push_back(concat(photograph.filename().string(), ": ", clipped, " pixels share the brightest value of the file: taken as clipped, they count as saturated"));
+  if (mask && mask->brightest() < 0.5f)
+    result.notes.push_back(concat("its mask leaves nothing: white is what is used, and the brightest place of the mask is ", std::lround(255 * mask->brightest()), " of 255"));
   set_noise(result, options, estimator, *source);
   reporter.end();
   return result;

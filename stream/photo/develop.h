@@ -40,7 +40,7 @@ struct DevelopOptions {
   std::optional<NoiseModel> noise;            ///< estimated from the picture where absent
   double saturation = 0.98;                   ///< share of white from which on a value counts as saturated; compared before linearisation
   std::optional<double> white;                ///< white level in the file's values; default 1 for integer files and RAW (largest code, the camera's white), none for floats
-  bool find_clipping = false;                 ///< files of floats without a white level: a plateau at the brightest value of a channel (plateau.h) counts as saturated; reads the file twice
+  bool find_clipping = false;                 ///< floats without a white level, and linear values of 16 bits, which often hold 12 or 14 of a sensor: a plateau at the brightest value of a channel (plateau.h) counts as saturated; reads the file twice
   int dilate_px = 2;                          ///< around saturated pixels of RAW and 8-bit files, where sharpening and blooming reach
 };
 
@@ -52,7 +52,8 @@ struct DevelopResult {
   std::vector<std::string> notes;
 };
 
-/// Writes a raster (raster.h) with f32 planes "r", "g", "b" and u8 plane "mask". Grey pictures give three equal planes; alpha of a photograph is passed over.
+/// Writes a raster (raster.h) with f32 planes "r", "g", "b" and u8 plane "mask". Grey pictures give three equal planes. Where the alpha of a photograph varies, pixels that
+/// are not opaque hold no data (undistorted pictures have such borders).
 ///
 /// throws   Error: unreadable photograph, mask missing or of another size (both named), float picture declared sRGB; Cancelled.
 /// threads  serial; several photographs may be developed at once. The same bytes each time.

@@ -38,9 +38,11 @@ class HeaderScan {
       while (read_attribute()) {
       }
       first_ = false;
+      ++num_parts_;
     } while ((version & 0x1000) && peek() != 0);
     check(limits);
   }
+  int num_parts() const { return num_parts_; }
 
  private:
   template <class... Parts>
@@ -156,7 +158,7 @@ class HeaderScan {
   File file_;
   fs::path path_;
   std::uint64_t size_ = 0, at_ = 0, num_channels_ = 0;
-  int num_attributes_ = 0;
+  int num_attributes_ = 0, num_parts_ = 0;
   bool first_ = true;
   Window data_, display_;
   unsigned char compression_ = 0;
@@ -205,6 +207,15 @@ std::string joined(const std::vector<std::string>& names) {
   return text + (names.size() > 30 ? ", ..." : "");
 }
 
+/// A picture of one channel is grey; one of distances is no photograph.
+std::string only_channel(const fs::path& path, const std::string& name, ImageInfo& info) {
+  std::string last = name.substr(name.rfind('.') + 1);
+  for (char& c : last) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
+  if (last == "z" || last == "depth") throw Error(concat(path.string(), ": holds the channel \"", name, "\" alone, which is a depth, expected R, G, B or Y", info.notes.empty() ? "" : ", in the first part of the file"));
+  info.notes.push_back(concat("its only channel, \"", name, "\", is taken as grey"));
+  return name;
+}
+
 /// R, G, B (A) of the file itself or of its only layer; else Y; else its only channel.
 std::vector<std::string> colour_names(const fs::path& path, const Imf::ChannelList& list, ImageInfo& info) {
   const std::vector<std::string> names = all_names(list);
@@ -215,8 +226,9 @@ std::vector<std::string> colour_names(const fs::path& path, const Imf::ChannelLi
   std::string prefix;
   if (!(has("R") && has("G") && has("B"))) {
     if (has("RY") || has("BY")) throw Error(concat(path.string(), ": luminance-chroma EXR (", joined(names), ") is not supported, expected R, G, B"));
+    if (has("X") && has("Y") && has("Z")) throw Error(concat(path.string(), ": channels X, Y, Z are not supported, expected R, G, B"));
     if (has("Y")) return {"Y"};
-    if (names.size() == 1) return names;
+    if (names.size() == 1) return {only_channel(path, names.front(), info)};
     if (prefixes.size() != 1) throw Error(concat(path.string(), ": no channels R, G, B, found ", joined(names)));
     prefix = prefixes.front();
     info.notes.push_back(concat("colour is taken from the layer \"", prefix.substr(0, prefix.size() - 1), "\""));
@@ -232,7 +244,8 @@ std::vector<std::string> colour_names(const fs::path& path, const Imf::ChannelLi
 class ExrReader : public detail::RowReader {
  public:
   ExrReader(const fs::path& path, const ImageOptions& options) : path_(path) {
-    HeaderScan scan(path, options.limits);
+    const HeaderScan scan(path, options.limits);
+    if (scan.num_parts() > 1) info.notes.push_back(concat("holds ", scan.num_parts(), " parts; the first one is taken"));
     named(path, [&] { open(options); });
   }
   bool random_access() const override { return true; }

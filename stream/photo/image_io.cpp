@@ -57,24 +57,56 @@ void detail::check_buffer(const fs::path& path, std::uint64_t bytes, const Image
     throw Error(concat(path.string(), ": needs ", bytes, " bytes at once for ", what, ", more than the limit of ", limits.max_buffer_bytes));
 }
 
-std::string detail::profile_name(std::span<const std::uint8_t> icc) {
-  const std::string unnamed = "unnamed";
-  if (icc.size() < 132) return unnamed;
+namespace {
+
+/// The data of a tag of an ICC profile; empty where it has none. source: ICC.1:2010, 7.3.
+std::span<const std::uint8_t> profile_tag(std::span<const std::uint8_t> icc, const char* signature) {
+  if (icc.size() < 132) return {};
   const std::uint32_t num_tags = std::min<std::uint32_t>(big_endian32(icc, 128), 100);
   for (std::uint32_t i = 0; i < num_tags; ++i) {
     const std::size_t tag = 132 + std::size_t{i} * 12;
     if (tag + 12 > icc.size()) break;
     const std::uint64_t at = big_endian32(icc, tag + 4), size = big_endian32(icc, tag + 8);
-    if (std::memcmp(&icc[tag], "desc", 4) != 0 || at + size > icc.size() || size < 28) continue;
-    const std::span<const std::uint8_t> desc = icc.subspan(at, size);
-    const bool unicode = std::memcmp(desc.data(), "mluc", 4) == 0;
-    const std::uint64_t begin = unicode ? big_endian32(desc, 24) : 12, length = unicode ? big_endian32(desc, 20) : big_endian32(desc, 8);
-    std::string name;
-    for (std::uint64_t k = begin + (unicode ? 1 : 0); k < begin + length && k < desc.size() && name.size() < 60; k += unicode ? 2 : 1)
-      if (desc[k] >= 32 && desc[k] < 127) name.push_back(static_cast<char>(desc[k]));
-    return name.empty() ? unnamed : name;
+    if (std::memcmp(&icc[tag], signature, 4) == 0 && at + size <= icc.size()) return icc.subspan(at, size);
   }
-  return unnamed;
+  return {};
+}
+
+}  // namespace
+
+std::string detail::profile_name(std::span<const std::uint8_t> icc) {
+  const std::string unnamed = "unnamed";
+  const std::span<const std::uint8_t> desc = profile_tag(icc, "desc");
+  if (desc.size() < 28) return unnamed;
+  const bool unicode = std::memcmp(desc.data(), "mluc", 4) == 0;
+  const std::uint64_t begin = unicode ? big_endian32(desc, 24) : 12, length = unicode ? big_endian32(desc, 20) : big_endian32(desc, 8);
+  std::string name;
+  for (std::uint64_t k = begin + (unicode ? 1 : 0); k < begin + length && k < desc.size() && name.size() < 60; k += unicode ? 2 : 1)
+    if (desc[k] >= 32 && desc[k] < 127) name.push_back(static_cast<char>(desc[k]));
+  return name.empty() ? unnamed : name;
+}
+
+std::optional<bool> detail::profile_is_linear(std::span<const std::uint8_t> icc) {
+  std::span<const std::uint8_t> curve = profile_tag(icc, "rTRC");
+  if (curve.empty()) curve = profile_tag(icc, "kTRC");
+  if (curve.size() < 12) return std::nullopt;
+  constexpr double kTolerance = 0.01;
+  const auto is_one = [](double exponent) { return std::abs(exponent - 1) <= kTolerance; };
+  if (std::memcmp(curve.data(), "curv", 4) == 0) {
+    const std::uint32_t count = big_endian32(curve, 8);
+    if (count == 0) return true;
+    if (count == 1) return curve.size() >= 14 ? std::optional(is_one((curve[12] * 256.0 + curve[13]) / 256)) : std::nullopt;
+    if (12 + 2 * std::uint64_t{count} > curve.size()) return std::nullopt;
+    const std::size_t middle = 12 + 2 * ((count - 1) / 2);
+    return std::abs((curve[middle] * 256.0 + curve[middle + 1]) / 65535 - ((count - 1) / 2) / (count - 1.0)) <= kTolerance;
+  }
+  if (std::memcmp(curve.data(), "para", 4) != 0 || curve.size() < 16) return std::nullopt;
+  return curve[8] == 0 && curve[9] == 0 && is_one(big_endian32(curve, 12) / 65536.0);
+}
+
+void detail::read_profile(std::span<const std::uint8_t> icc, ImageInfo& info) {
+  info.profile = profile_name(icc);
+  info.says_linear = profile_is_linear(icc);
 }
 
 int detail::exif_orientation(std::span<const std::uint8_t> block) {

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -33,9 +34,11 @@ struct ImageInfo {
   int width = 0, height = 0;
   int channels = 0;           ///< 1 grey, 2 grey + alpha, 3 RGB, 4 RGB + alpha; EXR with named channels: their number
   bool has_alpha = false;     ///< then alpha is the last channel
-  int bits = 0;               ///< bits a sample: 8, 16, 32, 64
+  bool alpha_is_assumed = false;  ///< of a TIFF's single extra channel, which the file does not say to be alpha
+  int bits = 0;               ///< bits a sample: 8, 16, 32, 64; TIFF in black and white: 1
   bool is_float = false;
   std::string profile;             ///< description of an embedded ICC profile; empty = none
+  std::optional<bool> says_linear; ///< whether values are proportional to radiance, by the curve of the profile (PNG: or gAMA, sRGB); absent: the file says nothing
   std::vector<std::string> notes;  ///< what was passed over in reading
 };
 

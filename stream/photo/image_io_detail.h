@@ -30,6 +30,10 @@ void check_buffer(const std::filesystem::path& path, std::uint64_t bytes, const 
 
 /// Description of an ICC profile ("sRGB IEC61966-2.1"); "unnamed" if it has none that can be read.
 std::string profile_name(std::span<const std::uint8_t> icc);
+/// Whether the curve of its red, or grey, channel is the identity; absent where the profile has none (tables) or is damaged.
+std::optional<bool> profile_is_linear(std::span<const std::uint8_t> icc);
+/// Fills `profile` and `says_linear`.
+void read_profile(std::span<const std::uint8_t> icc, ImageInfo& info);
 
 /// 1 to 8 as EXIF counts; 1 where the block ("Exif", then a TIFF header and its first directory) says nothing or is damaged.
 int exif_orientation(std::span<const std::uint8_t> block);

@@ -118,7 +118,7 @@ class JpegReader : public detail::RowReader {
     boolean found = FALSE;
     if (!detail::guarded(errors_.jump, [&] { found = jpeg_read_icc_profile(&jpeg_, &data, &size); })) return;
     const std::unique_ptr<JOCTET, decltype(&std::free)> owner(data, std::free);
-    if (found) info.profile = detail::profile_name({data, size});
+    if (found) detail::read_profile({data, size}, info);
   }
 
   std::filesystem::path path_;

@@ -1,5 +1,6 @@
 #include <png.h>
 
+#include <cmath>
 #include <cstring>
 
 #include "stream/base/file.h"
@@ -122,7 +123,11 @@ class PngReader : public detail::RowReader {
     png_bytep data = nullptr;
     png_uint_32 size = 0;
     int compression = 0;
-    if (png_get_iCCP(png_, info_, &name, &compression, &data, &size) != 0) info.profile = detail::profile_name({data, size});
+    if (png_get_iCCP(png_, info_, &name, &compression, &data, &size) != 0) return detail::read_profile({data, size}, info);
+    int intent = 0;
+    double exponent = 0;
+    if (png_get_sRGB(png_, info_, &intent) != 0) info.says_linear = false;
+    else if (png_get_gAMA(png_, info_, &exponent) != 0) info.says_linear = std::abs(exponent - 1) < 0.01;
   }
 
   /// An interlaced picture is complete only at the end of the file.

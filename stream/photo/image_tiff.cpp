@@ -132,6 +132,10 @@ class TiffReader : public detail::RowReader {
     const TiffPtr tiff = open_handle(path, messages_, options.limits);
     read_tags(tiff.get(), options);
     const std::size_t sample = static_cast<std::size_t>(info.bits / 8), width = static_cast<std::size_t>(info.width);
+    if (info.bits == 1) {
+      planes_.push_back(std::make_unique<Plane>(path, messages_, options.limits, std::uint16_t{0}, (width + 7) / 8, std::size_t{0}));
+      return;
+    }
     // Each plane of a planar file has a handle of its own, so that all of them stream in order.
     for (std::uint16_t p = 0; p < (planar_ ? static_cast<std::uint16_t>(info.channels) : std::uint16_t{1}); ++p) {
       const std::size_t pixel = planar_ ? sample : sample * samples_;
@@ -175,9 +179,10 @@ class TiffReader : public detail::RowReader {
     if (!TIFFIsCODECConfigured(compression)) fail("compression ", compression, " is not supported");
     is_float_ = format == SAMPLEFORMAT_IEEEFP;
     is_signed_ = format == SAMPLEFORMAT_INT;
-    const bool float_size = bits == 32 || bits == 64, integer_size = bits == 8 || bits == 16;
+    const bool mask = bits == 1 && samples == 1 && (photometric == PHOTOMETRIC_MINISBLACK || photometric == PHOTOMETRIC_MINISWHITE) && TIFFIsTiled(tiff) == 0;
+    const bool float_size = bits == 32 || bits == 64, integer_size = bits == 8 || bits == 16 || mask;
     if (is_signed_ || (!is_float_ && format != SAMPLEFORMAT_UINT && format != SAMPLEFORMAT_VOID) || !(is_float_ ? float_size : integer_size))
-      fail("samples of ", bits, " bits, format ", format, ", are not supported, expected unsigned integers of 8 or 16 bits or floats of 32 or 64");
+      fail("samples of ", bits, " bits, format ", format, ", are not supported, expected unsigned integers of 8 or 16 bits, floats of 32 or 64, or black and white");
     if (samples == 0 || num_extra >= samples) fail("has ", samples, " samples a pixel, ", num_extra, " of them extra");
     const int colours = samples - num_extra;
     const bool jpeg_ycbcr = photometric == PHOTOMETRIC_YCBCR && compression == COMPRESSION_JPEG;
@@ -198,12 +203,13 @@ class TiffReader : public detail::RowReader {
     const bool declared = num_extra > 0 && extra[0] != EXTRASAMPLE_UNSPECIFIED && colours == info.channels;
     if (declared || samples == info.channels + 1) {
       info.has_alpha = true;
+      info.alpha_is_assumed = !declared;
       ++info.channels;
     }
     if (samples > info.channels) info.notes.push_back(concat("samples beyond the first ", info.channels, " of ", samples, " are passed over"));
     std::uint32_t icc_bytes = 0;
     void* icc = nullptr;
-    if (TIFFGetField(tiff, TIFFTAG_ICCPROFILE, &icc_bytes, &icc) && icc) info.profile = detail::profile_name({static_cast<const std::uint8_t*>(icc), icc_bytes});
+    if (TIFFGetField(tiff, TIFFTAG_ICCPROFILE, &icc_bytes, &icc) && icc) detail::read_profile({static_cast<const std::uint8_t*>(icc), icc_bytes}, info);
     std::uint16_t orientation = 1;
     TIFFGetFieldDefaulted(tiff, TIFFTAG_ORIENTATION, &orientation);
     detail::note_orientation(orientation, info);
@@ -220,6 +226,10 @@ class TiffReader : public detail::RowReader {
   /// num samples of each group of `stride` samples, to groups of `out_stride` floats.
   void convert(const std::uint8_t* bytes, std::size_t stride, std::size_t num, float* out, std::size_t out_stride) const {
     const std::size_t width = static_cast<std::size_t>(info.width), sample = static_cast<std::size_t>(info.bits / 8);
+    if (info.bits == 1) {   // the library gives the first pixel as the highest bit
+      for (std::size_t x = 0; x < width; ++x) out[x] = static_cast<float>(bytes[x / 8] >> (7 - x % 8) & 1);
+      return;
+    }
     for (std::size_t x = 0; x < width; ++x)
       for (std::size_t c = 0; c < num; ++c) {
         const std::uint8_t* at = bytes + (x * stride + c) * sample;

@@ -102,6 +102,7 @@ struct RawSource::Impl {
     info.height_px = s.height / 2;
     info.crop_left_px = s.left_margin;
     info.crop_top_px = s.top_margin;
+    info.notes.push_back(concat("holds the sensor's ", s.width, " x ", s.height, " pixels, read at half size: a camera calibrated on pictures of another size, as the camera's own JPEGs often are by some pixels, does not fit"));
     if (s.flip != 0) info.notes.push_back("the camera marks the picture as turned; pixels stay as stored");
     if (std::abs(s.pixel_aspect - 1) > 1e-3) info.notes.push_back(concat("its pixels are not square (", s.pixel_aspect, "); they stay as stored"));
   }

@@ -498,6 +498,76 @@ void expect_carried(const WholeCloud& before, const WholeCloud& after) {
 
 std::filesystem::path cloud_data(const char* name) { return std::filesystem::path(CHIARO_SOURCE_DIR) / "tests/stream/cloud/data" / name; }
 
+TEST_F(ExportPoints, NamesAndWholeNumbersThatAFormatCannotHoldComeOutAsItCan) {
+  std::string text = "ply\nformat ascii 1.0\nelement vertex 600\nproperty double x\nproperty double y\nproperty double z\nproperty int64 id\nproperty uint64 scalar_\xc3\x89" "cart\nproperty float scalar__cart\nend_header\n";
+  for (int i = 0; i < 600; ++i) text += concat(0.01 * (i % 25), " ", 0.01 * (i / 25), " 0 ", -5 - i, " ", 7000000000 + i, " ", i, "\n");
+  write_text(cloud, text);
+  const stream::Store store = build({cloud});
+  ExportOptions options = to("plain.ply");
+  options.layer.clear();
+  run(store, options);
+  const PlyFile ply = read_ply(options.file);
+  const std::vector<std::string> carried(ply.properties.begin() + 9, ply.properties.end());
+  EXPECT_EQ(carried, (std::vector<std::string>{"double id", "double scalar__cart", "float scalar__cart_2"}));
+  EXPECT_EQ(ply.at(599, "id"), -604);
+  EXPECT_EQ(ply.at(599, "scalar__cart"), 7000000599);
+  EXPECT_EQ(ply.at(599, "scalar__cart_2"), 599);
+  for (const char* what : {"\"id\" is written as double, exact up to 2^53", "cart\" is written as \"scalar__cart\""}) EXPECT_NE(report.notes.find(what), std::string::npos) << what << '\n' << report.notes;
+  for (const char* name : {"plain.las", "plain.pcd"}) {   // both have such numbers
+    options.file = folder.path() / name;
+    run(store, options);
+    const auto reader = stream::open_points(options.file);
+    const auto& extras = reader->schema().extras;
+    const auto id = std::find_if(extras.begin(), extras.end(), [](const stream::PointProperty& p) { return p.name == "id"; });
+    ASSERT_NE(id, extras.end()) << name;
+    EXPECT_EQ(id->type, stream::ScalarType::kI64);
+  }
+}
+
+TEST_F(ExportPoints, PcdHasPositionsInSinglePrecisionWhereThatIsEnough) {
+  for (InputPoint& p : points) p.x -= 500000;   // doubles, near the origin
+  const stream::Store near = build();
+  ExportOptions options = to("near.pcd");
+  options.layer.clear();
+  run(near, options);
+  EXPECT_NE(read_text(options.file).find("\nSIZE 4 4 4 "), std::string::npos);
+  EXPECT_EQ(report.notes.find("single precision"), std::string::npos);
+  points = input_points(1);
+  const stream::Store far = build();
+  run(far, options);
+  EXPECT_NE(read_text(options.file).find("\nSIZE 8 8 8 "), std::string::npos);
+  EXPECT_NE(report.notes.find("too far from the origin for single precision"), std::string::npos);
+}
+
+TEST_F(ExportPoints, LasKeepsTheStepOfALasFileAndTheDigitsOfOthers) {
+  const auto scale_of = [](const std::filesystem::path& file) {
+    double scale = 0;
+    std::memcpy(&scale, read_text(file).data() + 131, sizeof scale);
+    return scale;
+  };
+  ExportOptions options = to("first.las");
+  options.layer.clear();
+  run(build(), options);
+  EXPECT_LE(scale_of(options.file), 1e-8);   // a metre across
+  {
+    stream::PointWriterOptions coarse;
+    coarse.num_points = 300;
+    coarse.properties = {{"x", stream::ScalarType::kF64}, {"y", stream::ScalarType::kF64}, {"z", stream::ScalarType::kF64}};
+    coarse.bounds.extend(Vec3d(0, 0, 0));
+    coarse.bounds.extend(Vec3d(1, 1, 1));
+    coarse.resolution = 0.002;
+    const auto writer = stream::create_points(folder.path() / "coarse.las", coarse);
+    std::string rows;
+    for (int i = 0; i < 300; ++i)
+      for (const double v : {0.002 * (i % 20), 0.002 * (i / 20), 0.0}) append(rows, v);
+    writer->write(reinterpret_cast<const std::byte*>(rows.data()), 300);
+    writer->commit();
+  }
+  options.file = folder.path() / "second.las";
+  run(build({folder.path() / "coarse.las"}), options);
+  EXPECT_EQ(scale_of(options.file), 0.002);
+}
+
 TEST_F(ExportPoints, LazComesOutAsLasWithAllThatItCarried) {
   if (!CHIARO_HAS_RUST_FORMATS) GTEST_SKIP() << "built without cargo";
   for (const char* name : {"variable_chunks.laz", "format_7.laz", "format_8.laz", "format_3.laz"}) {

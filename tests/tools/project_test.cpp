@@ -270,6 +270,17 @@ TEST_F(ProjectTest, RefusesLightsThatCannotBeShared) {
               HasSubstr("there is none with a flash"));
 }
 
+TEST_F(ProjectTest, RefusesAPhotographInTwoAcquisitionsWithAFlash) {
+  const std::string second = changed("role        = \"no_flash\"", "");
+  EXPECT_THAT(complaint(second), HasSubstr("photos/photo_1.exr belongs to \"day1\" and to \"night\", and would count twice"));
+  EXPECT_EQ(complaint(kValid), "none");   // without flash it measures the light of another
+}
+
+TEST_F(ProjectTest, SaysHowPathsAreWritten) {
+  EXPECT_THAT(complaint(changed("photos/photo_*.exr", "photos\\\\photo_*.exr")), HasSubstr("no file matches \"photos\\photo_*.exr\" (from "));
+  EXPECT_THAT(complaint(changed("photos/photo_*.exr", "photos\\\\photo_*.exr")), HasSubstr("; paths are written with /, on Windows too"));
+}
+
 TEST_F(ProjectTest, RefusesPhotographsThatShareAName) {
   std::ofstream(scratch_.path() / "photos/photo_9.tif") << "x";
   EXPECT_THAT(complaint(changed("photo_*.exr", "photo_*")), HasSubstr("photo_9.exr and photo_9.tif share the name \"photo_9\""));
@@ -297,6 +308,15 @@ TEST_F(ProjectTest, AppliesOverridesByNameByNumberAndToAll) {
   ASSERT_EQ(q.exports.size(), 1u);
   EXPECT_EQ(q.exports[0].file, "albedo.ply");
   EXPECT_TRUE(q.exports[0].fill);
+}
+
+TEST_F(ProjectTest, AnOverrideNamesWhatHasDotsInQuotationMarks) {
+  const std::string text = changed("name        = \"day1\"", "name = \"day 1.5=b\"");
+  EXPECT_EQ(load(text, {"acquisition.\"day 1.5=b\".encoding=srgb"}).acquisitions[0].encoding, Encoding::kSrgb);
+  EXPECT_EQ(load(text, {"acquisition.\"day 1.5=b\".encoding=srgb"}).acquisitions[1].encoding, Encoding::kLinear);
+  EXPECT_EQ(load(text, {"project.name=\"a = b\""}).name, "a = b");
+  EXPECT_THAT(complaint(text, {"acquisition.\"day 1.5.encoding=srgb"}), HasSubstr("expected key=value"));
+  EXPECT_THAT(complaint(text, {"acquisition.\"day 1.5=b\"x.encoding=srgb"}), HasSubstr("a quotation mark in the key is not closed"));
 }
 
 TEST_F(ProjectTest, SaysWhichOverrideIsWrong) {

@@ -67,6 +67,10 @@ std::string Corruption::valid_file(const std::string& format) {
     return std::string("ply\nformat binary_") + format.substr(0, format.find('.')) +
            "_endian 1.0\nelement camera 1\nproperty list uchar uchar ids\nelement vertex 3\n" + xyz + "end_header\n\x02zz" + row + row +
            row + "faces?";
+  if (format == "lists.ply") {
+    const std::string point = bytes_of(std::uint8_t{2}, std::int32_t{5}, std::int32_t{6}, 1.f, 2.f, 3.0) + "abcd" + bytes_of(std::uint8_t{0});
+    return "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty list uchar int seen_by\n" + xyz + "property list uchar float weights\nend_header\n" + point + point + point;
+  }
   if (format.ends_with(".laz") || format.ends_with(".e57")) return read_text(fs::path(CHIARO_SOURCE_DIR) / "tests/stream/cloud/data" / format);
   if (format == "scan.ptx") {
     const std::string head = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n5 6 7 1\n";
@@ -158,7 +162,7 @@ TEST(CorruptionBelowChecksums, EveryChangedByteIsReadOrRefused) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Formats, Corruption,
-                         ::testing::Values("ascii.ply", "little.ply", "big.ply", "legacy.las", "new.las", "names.csv", "plain.xyz",
+                         ::testing::Values("ascii.ply", "little.ply", "big.ply", "lists.ply", "legacy.las", "new.las", "names.csv", "plain.xyz",
                                            "scan.pts", "ascii.pcd", "binary.pcd", "compressed.pcd", "scan.ptx"),
                          [](const auto& format) {
                            std::string name = format.param;

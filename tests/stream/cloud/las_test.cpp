@@ -95,6 +95,14 @@ TEST_F(Las, ColoursOfEightBitsInSixteenBitFieldsAreScaled) {
   EXPECT_FALSE(cloud.schema.colour_is_16_bit);
 }
 
+TEST_F(Las, ColoursOfEightBitsInTheUpperBytesAreWhatTheyWere) {
+  std::string record = record_of(2, 0);
+  record.replace(20, 6, bytes_of(static_cast<std::uint16_t>(255 << 8), static_cast<std::uint16_t>(247 << 8), std::uint16_t{0}));
+  const Cloud cloud = read("a.las", make_las(2, 2, {record}));
+  EXPECT_EQ(cloud.points.colour[0], (std::array<std::uint16_t, 3>{65535, 247 * 257, 0}));   // not 65280: white stays white
+  EXPECT_FALSE(cloud.schema.colour_is_16_bit);
+}
+
 TEST_F(Las, UndescribedExtraBytesAreCarried) {
   const Cloud cloud = read("a.las", make_las(2, 0, {record_of(0, 0) + "\x05\x06"}));
   EXPECT_EQ(extra_of<std::uint8_t>(cloud, 0, "extra_byte_1"), 6);
@@ -229,6 +237,64 @@ TEST_F(Las, WriterRefusesPointsOutsideItsBounds) {
   const std::string far = export_row(9e9, 0), nowhere = export_row(std::nan(""), 0);
   EXPECT_THAT(error_of([&] { writer->write(reinterpret_cast<const std::byte*>(far.data()), 1); }), HasSubstr("coordinate x = 9e+09"));
   EXPECT_THAT(error_of([&] { writer->write(reinterpret_cast<const std::byte*>(nowhere.data()), 1); }), HasSubstr("not a number"));
+}
+
+TEST_F(Las, WithoutAResolutionPositionsKeepTheDigitsOfTheirExtent) {
+  PointWriterOptions options = export_options();
+  options.resolution.reset();
+  options.bounds = {};
+  options.bounds.extend(Vec3d(500000.123, -4, 10));
+  options.bounds.extend(Vec3d(500000.523, 4, 10));   // an object of eight metres, by its survey's coordinates
+  const fs::path path = folder_.path() / "w.las";
+  auto writer = create_points(path, options);
+  const std::string rows = export_row(500000.12345678, 0) + export_row(500000.5000001, 1);
+  writer->write(reinterpret_cast<const std::byte*>(rows.data()), 2);
+  writer->commit();
+  const double tolerance = 0.5e-8 + 1e-9;   // 8 / 2^31 is 3.7e-9: steps of 1e-8
+  const Cloud cloud = read_all(path);
+  EXPECT_NEAR(cloud.points.position[0].x(), 500000.12345678, tolerance);
+  EXPECT_NEAR(cloud.points.position[1].x(), 500000.5000001, tolerance);
+  double scale = 0;
+  std::memcpy(&scale, read_text(path).data() + 131, sizeof scale);
+  EXPECT_DOUBLE_EQ(scale, 1e-8);
+}
+
+TEST_F(Las, TheCoordinateSystemIsCarried) {
+  PointWriterOptions options = export_options();
+  options.num_points = 1;
+  options.coordinate_system = "PROJCS[\"WGS 84 / UTM zone 32N\",GEOGCS[]]";
+  const fs::path path = folder_.path() / "w.las";
+  auto writer = create_points(path, options);
+  const std::string row = export_row(500000.123, 0);
+  writer->write(reinterpret_cast<const std::byte*>(row.data()), 1);
+  writer->commit();
+  const Cloud cloud = read_all(path);
+  EXPECT_EQ(cloud.schema.coordinate_system, options.coordinate_system);
+  EXPECT_EQ(extra_of<std::uint16_t>(cloud, 0, "photos"), 0);   // and extra bytes are found behind it
+  EXPECT_EQ(extra_of<float>(cloud, 0, "sigma"), 0.02f);
+}
+
+TEST_F(Las, ExtraBytesDoNotRepeatNamesOfTheFixedPart) {
+  PointWriterOptions options = export_options();
+  options.num_points = 1;
+  const std::string longest = "the_same_name_of_thirty_bytes_";   // and two more that tell them apart, then more than fit
+  options.properties = {{"x", ScalarType::kF64}, {"y", ScalarType::kF64}, {"z", ScalarType::kF64}, {"intensity", ScalarType::kF32}, {"Classification", ScalarType::kI32}, {"point_source_id", ScalarType::kU16},
+                        {longest + "ab_one", ScalarType::kU8}, {longest + "ab_two", ScalarType::kU8}};
+  const fs::path path = folder_.path() / "w.las";
+  auto writer = create_points(path, options);
+  const std::string row = bytes_of(500000.123, -4.0, 10.0, -2048.5f, std::int32_t{-7}, std::uint16_t{5}, std::uint8_t{8}, std::uint8_t{9});
+  writer->write(reinterpret_cast<const std::byte*>(row.data()), 1);
+  writer->commit();
+  const std::string file = read_text(path);
+  std::vector<std::string> names;
+  for (std::size_t k = 0; k < 4; ++k) names.emplace_back(file.data() + 375 + 54 + 192 * k + 4, 32);
+  for (std::string& name : names) name.resize(std::min(name.find('\0'), name.size()));
+  EXPECT_THAT(names, ::testing::ElementsAre("input_intensity", "input_Classification", longest + "ab", longest + "_2"));
+  const Cloud cloud = read_all(path);
+  EXPECT_EQ(extra_of<float>(cloud, 0, "input_intensity"), -2048.5f);
+  EXPECT_EQ(extra_of<std::int32_t>(cloud, 0, "input_Classification"), -7);
+  EXPECT_EQ(extra_of<std::uint16_t>(cloud, 0, "point_source_id"), 5);
+  EXPECT_EQ(extra_of<std::uint8_t>(cloud, 0, longest + "_2"), 9);
 }
 
 TEST_F(Las, AStepTooFineForTheExtentIsMadeCoarser) {

@@ -67,6 +67,37 @@ TEST_F(Ply, BinaryOfBothByteOrdersInAnyPropertyOrderBehindAnElementWithLists) {
   }
 }
 
+TEST_F(Ply, ListsOfAPointArePassedOver) {
+  for (const bool big : {false, true}) {
+    std::string file = std::string("ply\nformat binary_") + (big ? "big" : "little") +
+                       "_endian 1.0\nelement vertex 70000\nproperty float x\nproperty float y\nproperty float z\nproperty list uchar uint view_indices\nproperty ushort red\nproperty ushort green\n"
+                       "property ushort blue\nproperty list ushort float view_weights\nproperty float quality\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n";
+    const auto add = [&](auto... values) {
+      for (const std::string& value : {bytes_of(values)...}) file += big ? reversed(value) : value;
+    };
+    for (std::uint32_t i = 0; i < 70000; ++i) {   // more than a window of the reader
+      add(static_cast<float>(i), 2.f, 3.f, static_cast<std::uint8_t>(i % 4));
+      for (std::uint32_t k = 0; k < i % 4; ++k) add(k);
+      add(std::uint16_t{200}, std::uint16_t{100}, static_cast<std::uint16_t>(i % 256), static_cast<std::uint16_t>(i % 3));
+      for (std::uint32_t k = 0; k < i % 3; ++k) add(0.5f);
+      add(0.25f * static_cast<float>(i));
+    }
+    add(std::uint8_t{3}, 0, 1, 2);
+    const Cloud cloud = read("lists.ply", file);
+    ASSERT_EQ(cloud.points.size(), 70000u);
+    ASSERT_EQ(cloud.schema.extras.size(), 1u);
+    for (const std::size_t i : {std::size_t{0}, std::size_t{1}, std::size_t{65537}, std::size_t{69999}}) {
+      EXPECT_EQ(cloud.points.position[i], Vec3d(static_cast<double>(i), 2, 3));
+      EXPECT_EQ(cloud.points.colour[i], (std::array<std::uint16_t, 3>{200 * 257, 100 * 257, static_cast<std::uint16_t>(i % 256 * 257)}));
+      EXPECT_EQ(extra_of<float>(cloud, i, "quality"), 0.25f * static_cast<float>(i));
+    }
+    EXPECT_THAT(error("cut.ply", file.substr(0, file.size() - 40)), HasSubstr("69999 of 70000 points read, the file ends early"));
+    const std::size_t length = file.find("end_header\n") + 11 + 12;
+    file[length] = static_cast<char>(255);
+    EXPECT_THAT(error("few.ply", file.substr(0, length + 200000)), HasSubstr("declares 70000 points of 25 bytes or more"));
+  }
+}
+
 TEST_F(Ply, FloatColoursUpToOneAndUpTo255AreTold) {
   const std::string header =
       "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nproperty float red\nproperty float "

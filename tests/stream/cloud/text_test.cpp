@@ -40,6 +40,13 @@ TEST_F(Text, SixColumnsAreColourOrNormal) {
   EXPECT_EQ(extra_of<double>(other, 0, "column_6"), 10.5);
 }
 
+TEST_F(Text, XyzrgbHasColoursWhateverTheirRange) {
+  const Cloud unit = read("a.xyzrgb", "1 2 3 0.5 0 1\n1 2 3 0 0 0\n"), bytes = read("b.xyzrgb", "1 2 3 255 0 10\n");
+  ASSERT_TRUE(unit.schema.has_colour && bytes.schema.has_colour);
+  EXPECT_EQ(unit.points.colour[0], (std::array<std::uint16_t, 3>{32768, 0, 65535}));
+  EXPECT_EQ(bytes.points.colour[0], (std::array<std::uint16_t, 3>{65535, 0, 2570}));
+}
+
 TEST_F(Text, SevenAndNineColumns) {
   const Cloud seven = read("a.txt", "1 2 3 -40.5 1 2 3\n");
   EXPECT_EQ(extra_of<double>(seven, 0, "intensity"), -40.5);
@@ -50,6 +57,46 @@ TEST_F(Text, SevenAndNineColumns) {
   const Cloud nine = read("c.txt", "1 2 3 10 20 30 0 -1 0\n");
   EXPECT_EQ(nine.points.colour[0][0], 2570);
   EXPECT_EQ(nine.points.normal[0], Vec3f(0, -1, 0));
+}
+
+TEST_F(Text, IntensityBesideColoursAndNormalsIsFoundInAnyOrder) {
+  for (const char* row : {"1 2 3 -40 10 20 30 0 -1 0", "1 2 3 10 20 30 -40 0 -1 0", "1 2 3 10 20 30 0 -1 0 -40", "1 2 3 0 -1 0 10 20 30 -40"}) {
+    SCOPED_TRACE(row);
+    const Cloud cloud = read("a.txt", std::string(row) + "\n" + row + "\n");
+    ASSERT_TRUE(cloud.schema.has_colour && cloud.schema.has_normal);
+    EXPECT_EQ(cloud.points.colour[1], (std::array<std::uint16_t, 3>{2570, 5140, 7710}));
+    EXPECT_EQ(cloud.points.normal[1], Vec3f(0, -1, 0));
+    EXPECT_EQ(extra_of<double>(cloud, 1, "intensity"), -40);
+  }
+  const Cloud before = read("b.txt", "1 2 3 -40 0 -1 0\n"), behind = read("c.txt", "1 2 3 0 -1 0 -40\n");
+  ASSERT_TRUE(before.schema.has_normal && behind.schema.has_normal);
+  EXPECT_EQ(before.points.normal[0], Vec3f(0, -1, 0));
+  EXPECT_EQ(extra_of<double>(before, 0, "intensity"), -40);
+  EXPECT_EQ(behind.points.normal[0], Vec3f(0, -1, 0));
+  EXPECT_EQ(extra_of<double>(behind, 0, "column_7"), -40);
+}
+
+TEST_F(Text, TheRangeOfColoursIsThatOfTheWholeFile) {
+  std::string text;
+  const auto lines = [&](int count, const char* line) {
+    for (int i = 0; i < count; ++i) text += line;
+  };
+  lines(5000, "1 2 3 0 0 0\n");   // a scan that begins with points without colour
+  lines(5000, "1 2 3 200 100 1\n");
+  const Cloud eight = read("a.xyz", text);
+  EXPECT_EQ(eight.points.colour.back(), (std::array<std::uint16_t, 3>{200 * 257, 100 * 257, 257}));
+  EXPECT_FALSE(eight.schema.colour_is_16_bit);
+  text = "x y z r g b\n";
+  lines(5000, "1 2 3 0 20 100\n");
+  lines(5000, "1 2 3 200 60000 1\n");
+  const Cloud sixteen = read("b.xyz", text);
+  EXPECT_EQ(sixteen.points.colour.front()[2], 100);
+  EXPECT_EQ(sixteen.points.colour.back()[1], 60000);
+  text = "ply\nformat ascii 1.0\nelement vertex 5000\nproperty float x\nproperty float y\nproperty float z\nproperty ushort red\nproperty ushort green\nproperty ushort blue\n"
+         "element face 5000\nproperty list uchar int vertex_indices\nend_header\n";
+  lines(5000, "1 2 3 7 8 200\n");
+  lines(5000, "5 1 2 3 4 4000\n");   // faces, which have as many values as points here
+  EXPECT_EQ(read("c.ply", text).points.colour.back()[2], 200 * 257);
 }
 
 TEST_F(Text, AHeaderLineNamesTheColumns) {

@@ -104,6 +104,34 @@ TEST(ColmapText, SurvivesDamage) {
   EXPECT_GT(survive_damage(scratch.path() / "images.txt", kImages, 1000, [&] { read(scratch.path()); }), 20);
 }
 
+TEST(ColmapText, AnImageInPlaceOfPointsIsNoticedWhateverItsName) {
+  ScratchFolder scratch;
+  // Each image on one line; a name of three words makes twelve words, a multiple of three.
+  put_colmap_text(scratch.path(), "1 PINHOLE 640 480 600 610 322.5 238.25\n", "1 1 0 0 0 0 0 0 1 a.jpg\n2 1 0 0 0 0 0 0 1 the second one.jpg\n3 1 0 0 0 0 0 0 1 c.jpg\n");
+  EXPECT_NE(error_of([&] { read(scratch.path()); }).find("line 1: image \"a.jpg\": the line of its points that follows holds 12 words that are not all numbers"), std::string::npos);
+}
+
+TEST(ColmapText, AByteOrderMarkIsPassedOver) {
+  ScratchFolder scratch;
+  put_colmap_text(scratch.path(), std::string("\xef\xbb\xbf") + kCameras, std::string("\xef\xbb\xbf") + kImages);
+  EXPECT_EQ(read(scratch.path()).size(), 3u);
+}
+
+TEST(ColmapText, FurtherModelsAreNoted) {
+  ScratchFolder scratch;
+  std::vector<std::string> notes;
+  for (const char* model : {"0", "1", "2"}) {
+    fs::create_directories(scratch.path() / "sparse" / model);
+    put_colmap_text(scratch.path() / "sparse" / model, kCameras, kImages);
+  }
+  read(scratch.path(), &notes);
+  ASSERT_EQ(notes.size(), 1u);
+  EXPECT_NE(notes[0].find("further models beside it (1, 2)"), std::string::npos) << notes[0];
+  notes.clear();
+  read(scratch.path() / "sparse/1", &notes);
+  EXPECT_TRUE(notes.empty());
+}
+
 template <class T>
 void append(std::string& out, T value) {
   out.append(reinterpret_cast<const char*>(&value), sizeof value);
@@ -188,6 +216,14 @@ TEST(LensFromColmap, FisheyeParametersGoToTheAngle) {
   const double radial[] = {500, 320, 240, 0.1, 0.2};
   EXPECT_EQ(lens_from_colmap("RADIAL_FISHEYE", 640, 480, radial, "here").k[1], 0.2);
   EXPECT_EQ(lens_from_colmap("RADIAL", 640, 480, radial, "here").kind, LensKind::kPerspective);
+  const double plain[] = {500, 501, 320, 240};
+  for (const auto& [model, num] : {std::pair{"FISHEYE", 4u}, {"SIMPLE_FISHEYE", 3u}}) {
+    const Lens equidistant = lens_from_colmap(model, 640, 480, std::span(plain).last(num), "here");
+    EXPECT_EQ(equidistant.kind, LensKind::kFisheye) << model;
+    EXPECT_EQ(equidistant.fx, num == 4 ? 500 : 501) << model;
+    EXPECT_EQ(equidistant.cy, 240) << model;
+    EXPECT_EQ(equidistant.k, (std::array<double, 7>{})) << model;
+  }
 }
 
 std::string metashape(const std::string& cameras, const std::string& transform = "", const std::string& calibration =
@@ -246,6 +282,24 @@ TEST(Metashape, SkipsUnalignedAndDisabledCamerasAndReadsGroups) {
   ASSERT_EQ(notes.size(), 2u);
   EXPECT_NE(notes[0].find("1 cameras have no position in the file (not aligned) and are left out: lost"), std::string::npos);
   EXPECT_NE(notes[1].find("disabled"), std::string::npos);
+}
+
+TEST(Metashape, WhatIsNotFollowedIsNoted) {
+  ScratchFolder scratch;
+  const fs::path file = scratch.path() / "cameras.xml";
+  std::vector<std::string> notes;
+  const auto noted = [&](const std::string& cameras, const std::string& calibration, const char* what) {
+    put_bytes(file, metashape(cameras, "", calibration));
+    notes.clear();
+    EXPECT_EQ(read(file, &notes).size(), 1u);
+    return std::any_of(notes.begin(), notes.end(), [&](const std::string& note) { return note.find(what) != std::string::npos; });
+  };
+  const std::string plain = "<f>500</f><cx>3</cx><skew>0</skew><date>2024</date>", one = camera_xml("a", kIdentity);
+  EXPECT_FALSE(noted(one, plain, ""));
+  EXPECT_TRUE(noted(one, plain + "<k5>0.1</k5><skew>0.2</skew>", "calibration of sensor \"lens\" holds k5, skew, which is not followed"));
+  EXPECT_TRUE(noted(one + camera_xml("b", "", "sensor_id=\"0\" master_id=\"0\""), plain, "1 cameras belong to a rig and have their position from another camera (master_id), which is not supported; they are left out: b"));
+  EXPECT_TRUE(noted(camera_xml("a", std::string(kIdentity) + "<rolling_shutter>1 0 0 0.1</rolling_shutter>"), plain, "1 cameras have a rolling shutter in the file, which is not followed"));
+  EXPECT_FALSE(noted(camera_xml("a", std::string(kIdentity) + "<property name=\"rolling_shutter\" value=\"false\"/>"), plain, "rolling"));
 }
 
 TEST(Metashape, NamesFileLineAndCameraInErrors) {

@@ -224,5 +224,18 @@ TEST(Camera, ScaledLensSeesTheSameRays) {
   EXPECT_NE(error_of([&] { scaled_to(lens, 0, 160, "a.jpg"); }), "");
 }
 
+TEST(Camera, ALensIsNotScaledToWhatIsNoCopyOfItsPicture) {
+  Lens lens = random_lens(1);
+  lens.width_px = 6000;
+  lens.height_px = 4000;
+  const auto fits = [&](int width, int height) { return error_of([&] { scaled_to(lens, width, height, "a.tif"); }).empty(); };
+  for (const auto& [width, height] : {std::pair{6000, 4000}, {3000, 2000}, {1500, 1000}, {2048, 1365}, {2047, 1365}, {12000, 8000}, {333, 222}}) EXPECT_TRUE(fits(width, height)) << width;
+  EXPECT_FALSE(fits(6024, 4024));   // the sensor's area of a RAW file; its JPEG is cropped
+  EXPECT_FALSE(fits(3012, 2012));   // at half size
+  EXPECT_FALSE(fits(5970, 3980));   // in proportion: an undistorted picture
+  EXPECT_FALSE(fits(6000, 3980));
+  EXPECT_FALSE(fits(2900, 2000));
+}
+
 }  // namespace
 }  // namespace chiaro::stream

@@ -4,6 +4,7 @@
 #include <ImfHeader.h>
 #include <ImfOutputFile.h>
 #include <ImfChannelList.h>
+#include <tiffio.h>
 
 #include <algorithm>
 #include <cmath>
@@ -129,6 +130,61 @@ TEST_F(Develop, APlateauOfClippedFloatsIsSaturated) {
   }
 }
 
+TEST_F(Develop, APlateauBelowTheLargestCodeOfSixteenBitsIsSaturated) {
+  // Twelve bits of a sensor in sixteen, as they were: white is at 4095.
+  std::vector<std::uint16_t> codes;
+  for (const float v : clipped_ramp(80, 70, 0.75f)) codes.push_back(static_cast<std::uint16_t>(std::lround(v / 0.75f * 4095)));
+  write_png_srgb16(path("a.png"), 80, 70, codes);
+  DevelopOptions options;
+  options.find_clipping = true;
+  const DevelopResult result = run(path("a.png"), options);
+  std::uint64_t clipped = 0;
+  for (std::size_t i = 0; i < codes.size(); i += 3) clipped += codes[i] == 4095 || codes[i + 1] == 4095;
+  EXPECT_GT(clipped, 1000u);
+  EXPECT_EQ(result.pixels_saturated, clipped);
+  EXPECT_NE(std::find(result.notes.begin(), result.notes.end(), concat("a.png: ", clipped, " pixels share the brightest value of the file: taken as clipped, they count as saturated")), result.notes.end());
+  for (std::uint16_t& c : codes) c = static_cast<std::uint16_t>(c / 16);   // too few codes to tell
+  write_png_srgb16(path("a.png"), 80, 70, codes);
+  EXPECT_EQ(run(path("a.png"), options).pixels_saturated, 0u);
+}
+
+/// An ICC profile with nothing but the curve of red, as a gamma, as a table of three values or as parameters.
+std::string profile_of(const std::string& curve) {
+  const auto number = [](std::uint32_t v) { return std::string{static_cast<char>(v >> 24), static_cast<char>(v >> 16), static_cast<char>(v >> 8), static_cast<char>(v)}; };
+  return std::string(128, '\0') + number(1) + "rTRC" + number(144) + number(static_cast<std::uint32_t>(curve.size())) + curve;
+}
+
+TEST_F(Develop, AnEncodingThatTheFileContradictsIsNoted) {
+  const std::string zero(4, '\0');
+  const std::pair<std::string, std::optional<bool>> curves[] = {{"curv" + zero + zero, true},
+                                                 {"curv" + zero + std::string("\0\0\0\1\x01\x00", 6), true},
+                                                 {"curv" + zero + std::string("\0\0\0\1\x02\x33", 6), false},   // 2.2
+                                                 {"curv" + zero + std::string("\0\0\0\3\0\0\x80\0\xff\xff", 10), true},
+                                                 {"curv" + zero + std::string("\0\0\0\3\0\0\x37\0\xff\xff", 10), false},
+                                                 {"para" + zero + std::string("\0\0\0\0\0\1\0\0", 8), true},
+                                                 {"para" + zero + std::string("\0\3\0\0\0\2\x66\x66", 8) + std::string(16, '\1'), false},
+                                                 {"mft2" + std::string(40, '\0'), std::nullopt}};   // tables alone
+  for (const auto& [curve, linear] : curves) {
+    TIFF* tiff = TIFFOpen(path("a.tif").c_str(), "w");
+    const std::string profile = profile_of(curve);
+    for (const auto& [tag, value] : {std::pair{TIFFTAG_IMAGEWIDTH, 4}, {TIFFTAG_IMAGELENGTH, 1}, {TIFFTAG_BITSPERSAMPLE, 16}, {TIFFTAG_SAMPLESPERPIXEL, 3}, {TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_RGB}}) TIFFSetField(tiff, static_cast<std::uint32_t>(tag), value);
+    TIFFSetField(tiff, TIFFTAG_ICCPROFILE, static_cast<std::uint32_t>(profile.size()), profile.data());
+    std::vector<std::uint16_t> row(12, 30000);
+    TIFFWriteScanline(tiff, row.data(), 0, 0);
+    TIFFClose(tiff);
+    const auto said = [&](Encoding encoding, const char* what) {
+      DevelopOptions options;
+      options.encoding = encoding;
+      options.noise = NoiseModel{1e-3, 1e-3, false};
+      const auto notes = run(path("a.tif"), options).notes;
+      return std::any_of(notes.begin(), notes.end(), [&](const std::string& note) { return note.find(what) != std::string::npos; });
+    };
+    EXPECT_EQ(said(Encoding::kLinear, "says that values are not linear"), linear == false) << curve.substr(0, 4) << curve.size();
+    EXPECT_EQ(said(Encoding::kLinear, "does not say by a curve whether values are linear"), !linear.has_value()) << curve.substr(0, 4) << curve.size();
+    EXPECT_EQ(said(Encoding::kSrgb, "says that values are linear"), linear == true) << curve.substr(0, 4) << curve.size();
+  }
+}
+
 TEST_F(Develop, WhatIsMaskedMakesNoPlateau) {
   std::vector<float> values = clipped_ramp(80, 70, 9);
   std::vector<std::uint8_t> picture(80 * 70, 255);
@@ -170,6 +226,41 @@ TEST_F(Develop, PixelsOutsideTheDataWindowHoldNoData) {
   EXPECT_EQ(raster().all<std::uint8_t>("mask")[6 + 4], kUsableByMask | kNotFinite);
 }
 
+TEST_F(Develop, TransparentPixelsHoldNoData) {
+  const int width = 5, height = 70;   // more than a band, so that the first one does not decide
+  std::vector<float> values;
+  for (int i = 0; i < width * height; ++i) values.insert(values.end(), {0.5f, 0.5f, 0.5f, 1});
+  const std::size_t last = values.size() - 4;
+  values[last + 3] = 0.9f;
+  values[last - 1] = 0;
+  write_exr(path("a.exr"), width, height, {"R", "G", "B", "A"}, values, false);
+  DevelopOptions options;
+  const DevelopResult result = run(path("a.exr"), options);
+  EXPECT_EQ(result.pixels_used, static_cast<std::uint64_t>(width * height - 2));
+  EXPECT_EQ(result.pixels_not_finite, 2u);
+  EXPECT_EQ(raster().all<float>("r").back(), 0);
+  EXPECT_NE(std::find(result.notes.begin(), result.notes.end(), "pixels that its alpha channel has as transparent, in full or in part, are left out"), result.notes.end());
+  // The mask does not bring them back.
+  write_png_srgb8(path("mask.png"), width, height, std::vector<std::uint8_t>(static_cast<std::size_t>(width * height), 255), 1);
+  options.mask = path("mask.png");
+  EXPECT_EQ(run(path("a.exr"), options).pixels_used, static_cast<std::uint64_t>(width * height - 2));
+  // A fourth channel that nothing says to be alpha is not taken for it.
+  for (const int declared : {EXTRASAMPLE_UNSPECIFIED, EXTRASAMPLE_UNASSALPHA}) {
+    TIFF* tiff = TIFFOpen(path("a.tif").c_str(), "w");
+    for (const auto& [tag, value] : {std::pair{TIFFTAG_IMAGEWIDTH, 4}, {TIFFTAG_IMAGELENGTH, 1}, {TIFFTAG_BITSPERSAMPLE, 8}, {TIFFTAG_SAMPLESPERPIXEL, 4}, {TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_RGB}}) TIFFSetField(tiff, static_cast<std::uint32_t>(tag), value);
+    const auto extra = static_cast<std::uint16_t>(declared);
+    TIFFSetField(tiff, TIFFTAG_EXTRASAMPLES, 1, &extra);
+    std::vector<std::uint8_t> row{90, 90, 90, 255, 90, 90, 90, 200, 90, 90, 90, 0, 90, 90, 90, 255};
+    TIFFWriteScanline(tiff, row.data(), 0, 0);
+    TIFFClose(tiff);
+    EXPECT_EQ(run(path("a.tif"), {}).pixels_used, declared == EXTRASAMPLE_UNSPECIFIED ? 4u : 2u);
+  }
+  // An alpha channel of nothing but zeros was not meant.
+  for (std::size_t i = 3; i < values.size(); i += 4) values[i] = 0;
+  write_exr(path("a.exr"), width, height, {"R", "G", "B", "A"}, values, false);
+  EXPECT_EQ(run(path("a.exr"), {}).pixels_used, static_cast<std::uint64_t>(width * height));
+}
+
 TEST_F(Develop, MasksAreCutAtHalfInAnyFormat) {
   write_exr(path("a.exr"), 4, 1, {"R", "G", "B"}, std::vector<float>(12, 0.5f), false);
   DevelopOptions options;
@@ -191,6 +282,18 @@ TEST_F(Develop, MasksAreCutAtHalfInAnyFormat) {
   EXPECT_EQ(mask_of("opaque.exr"), expected);
 }
 
+TEST_F(Develop, AMaskWithoutWhiteIsNotedAndAGreyPhotographToo) {
+  write_exr(path("a.exr"), 4, 1, {"Y"}, std::vector<float>(4, 0.5f), false);
+  write_png_srgb8(path("mask.png"), 4, 1, std::vector<std::uint8_t>{0, 1, 1, 0}, 1);   // written as numbers 0 and 1
+  DevelopOptions options;
+  options.mask = path("mask.png");
+  const DevelopResult result = run(path("a.exr"), options);
+  const auto said = [&](const char* what) { return std::find(result.notes.begin(), result.notes.end(), what) != result.notes.end(); };
+  EXPECT_EQ(result.pixels_used, 0u);
+  EXPECT_TRUE(said("its mask leaves nothing: white is what is used, and the brightest place of the mask is 1 of 255"));
+  EXPECT_TRUE(said("is grey: its red, green and blue are taken as equal"));
+}
+
 TEST_F(Develop, MissingAndOddMasksAreNamed) {
   write_exr(path("a.exr"), 4, 1, {"R", "G", "B"}, std::vector<float>(12, 0.5f), false);
   DevelopOptions options;
@@ -203,6 +306,11 @@ TEST_F(Develop, MissingAndOddMasksAreNamed) {
   message = error_of([&] { run(path("a.exr"), options); });
   EXPECT_NE(message.find("the mask is 2 x 3 pixels"), std::string::npos) << message;
   EXPECT_NE(message.find("is 4 x 1"), std::string::npos) << message;
+  EXPECT_EQ(message.find("half size"), std::string::npos) << message;
+  write_png_srgb8(path("c.png"), 8, 2, std::vector<std::uint8_t>(16, 255), 1);
+  options.mask = path("c.png");
+  message = error_of([&] { run(path("a.exr"), options); });
+  EXPECT_NE(message.find("camera RAW is read at half size"), std::string::npos) << message;
   EXPECT_FALSE(fs::exists(raster_path()));
 }
 

@@ -1,5 +1,11 @@
 #include "stream/photo/image_io.h"
 
+#include <ImfChannelList.h>
+#include <ImfFrameBuffer.h>
+#include <ImfHeader.h>
+#include <ImfMultiPartOutputFile.h>
+#include <ImfOutputPart.h>
+#include <ImfPartType.h>
 #include <jpeglib.h>
 #include <png.h>
 #include <tiffio.h>
@@ -115,7 +121,7 @@ void make_jpeg(const fs::path& path, int width, int height, int channels, bool p
 }
 
 /// PNG of any type by libpng; interlaced where asked.
-void make_png(const fs::path& path, int width, int height, int type, int depth, bool interlaced) {
+void make_png(const fs::path& path, int width, int height, int type, int depth, bool interlaced, double gamma = 0) {
   std::FILE* file = std::fopen(path.c_str(), "wb");
   png_structp png = png_create_write_struct(PNG_LIBPNG_VER_STRING, nullptr, nullptr, nullptr);
   png_infop info = png_create_info_struct(png);
@@ -126,6 +132,7 @@ void make_png(const fs::path& path, int width, int height, int type, int depth, 
     const png_color palette[4] = {{0, 0, 0}, {255, 0, 0}, {0, 255, 0}, {10, 20, 30}};
     png_set_PLTE(png, info, palette, 4);
   }
+  if (gamma > 0) png_set_gAMA(png, info, gamma);
   png_write_info(png, info);
   const std::size_t row_bytes = png_get_rowbytes(png, info);
   std::vector<png_byte> all(row_bytes * static_cast<std::size_t>(height));
@@ -185,6 +192,64 @@ TEST(Exr, ReadsChannelsByNameInAnyOrder) {
   EXPECT_EQ(image.values, (std::vector<float>{1, 10, 2, 20, 3, 30, 4, 40, 5, 50, 6, 60}));
   EXPECT_NE(error_of([&] { read_exr_channels(path, {"depth"}); }).find("has no channel \"depth\", found ambient, direct"), std::string::npos);
   EXPECT_NE(error_of([&] { read_image(path); }).find("no channels R, G, B"), std::string::npos);
+}
+
+TEST(Exr, ADepthIsNoPhotographAndOneChannelIsGreyWithANote) {
+  ScratchFolder scratch;
+  const fs::path path = scratch.path() / "a.exr";
+  const std::vector<float> values = {1, 2, 3, 4, 5, 6};
+  for (const char* name : {"Z", "ViewLayer.Depth"}) {
+    write_exr_planes(path, 3, 2, {name}, {values}, false);
+    EXPECT_NE(error_of([&] { read_image(path); }).find("alone, which is a depth"), std::string::npos) << name;
+  }
+  write_exr_planes(path, 3, 2, {"X", "Y", "Z"}, {values, values, values}, false);
+  EXPECT_NE(error_of([&] { read_image(path); }).find("X, Y, Z are not supported"), std::string::npos);
+  write_exr_planes(path, 3, 2, {"grey"}, {values}, false);
+  ASSERT_EQ(ImageSource(path).info().notes.size(), 1u);
+  EXPECT_EQ(ImageSource(path).info().notes.front(), "its only channel, \"grey\", is taken as grey");
+  write_exr_planes(path, 3, 2, {"Y"}, {values}, false);
+  EXPECT_TRUE(ImageSource(path).info().notes.empty());
+}
+
+TEST(Exr, OfSeveralPartsTheFirstIsTakenWithANote) {
+  ScratchFolder scratch;
+  const fs::path path = scratch.path() / "a.exr";
+  std::vector<Imf::Header> headers;
+  for (const char* name : {"colour", "again"}) {
+    Imf::Header header(2, 1);
+    header.setName(name);
+    header.setType(Imf::SCANLINEIMAGE);
+    for (const char* channel : {"R", "G", "B"}) header.channels().insert(channel, Imf::Channel(Imf::FLOAT));
+    headers.push_back(header);
+  }
+  {
+    Imf::MultiPartOutputFile file(path.c_str(), headers.data(), 2);
+    for (int part = 0; part < 2; ++part) {
+      std::vector<float> values(6, static_cast<float>(part + 1));
+      Imf::OutputPart out(file, part);
+      Imf::FrameBuffer frame;
+      for (std::size_t c = 0; c < 3; ++c) frame.insert(std::string(1, "RGB"[c]), Imf::Slice(Imf::FLOAT, reinterpret_cast<char*>(values.data() + c), 3 * sizeof(float), 6 * sizeof(float)));
+      out.setFrameBuffer(frame);
+      out.writePixels(1);
+    }
+  }
+  ImageSource source(path);
+  ASSERT_EQ(source.info().notes.size(), 1u);
+  EXPECT_EQ(source.info().notes.front(), "holds 2 parts; the first one is taken");
+  EXPECT_EQ(read_image(path).values, std::vector<float>(6, 1.0f));
+}
+
+TEST(Png, AGammaOfOneSaysLinear) {
+  ScratchFolder scratch;
+  const fs::path path = scratch.path() / "a.png";
+  write_png_srgb16(path, 2, 1, std::vector<std::uint16_t>{1, 2, 3, 4, 5, 6});   // with sRGB
+  EXPECT_EQ(ImageSource(path).info().says_linear, false);
+  make_png(path, 3, 2, PNG_COLOR_TYPE_RGB, 16, false);
+  EXPECT_EQ(ImageSource(path).info().says_linear, std::nullopt);
+  make_png(path, 3, 2, PNG_COLOR_TYPE_RGB, 16, false, 1.0);
+  EXPECT_EQ(ImageSource(path).info().says_linear, true);
+  make_png(path, 3, 2, PNG_COLOR_TYPE_RGB, 16, false, 0.45455);
+  EXPECT_EQ(ImageSource(path).info().says_linear, false);
 }
 
 TEST(Exr, ReadsAnyBandInAnyOrder) {
@@ -291,6 +356,32 @@ TEST(Tiff, GreyAlphaAndInvertedFilesAreUnderstood) {
   palette.photometric = PHOTOMETRIC_CIELAB;
   make_tiff(path, palette);
   EXPECT_NE(error_of([&] { read_image(path); }).find("photometric interpretation 8"), std::string::npos);
+}
+
+TEST(Tiff, BlackAndWhiteIsReadWithEitherMeaningAndBitOrder) {
+  ScratchFolder scratch;
+  const fs::path path = scratch.path() / "a.tif";
+  const int width = 19, height = 5;
+  for (const int photometric : {PHOTOMETRIC_MINISBLACK, PHOTOMETRIC_MINISWHITE})
+    for (const int compression : {COMPRESSION_NONE, COMPRESSION_CCITTFAX4})
+      for (const int order : {FILLORDER_MSB2LSB, FILLORDER_LSB2MSB}) {
+        TIFF* tiff = TIFFOpen(path.c_str(), "w");
+        for (const auto& [tag, value] : {std::pair{TIFFTAG_IMAGEWIDTH, width}, {TIFFTAG_IMAGELENGTH, height}, {TIFFTAG_BITSPERSAMPLE, 1}, {TIFFTAG_SAMPLESPERPIXEL, 1}, {TIFFTAG_PHOTOMETRIC, photometric},
+                                         {TIFFTAG_COMPRESSION, compression}, {TIFFTAG_FILLORDER, order}, {TIFFTAG_ROWSPERSTRIP, height}})
+          TIFFSetField(tiff, static_cast<std::uint32_t>(tag), value);
+        const auto is_set = [](int x, int y) { return (x * 5 + y * 3) % 7 < 3; };
+        for (int y = 0; y < height; ++y) {
+          std::vector<std::uint8_t> row((width + 7) / 8);
+          for (int x = 0; x < width; ++x)
+            if (is_set(x, y)) row[static_cast<std::size_t>(x / 8)] = static_cast<std::uint8_t>(row[static_cast<std::size_t>(x / 8)] | 0x80 >> x % 8);
+          TIFFWriteScanline(tiff, row.data(), static_cast<std::uint32_t>(y), 0);
+        }
+        TIFFClose(tiff);
+        const Image image = read_image(path);
+        ASSERT_EQ(image.channels, 1);
+        for (int y = 0; y < height; ++y)
+          for (int x = 0; x < width; ++x) ASSERT_EQ(image.at(x, y, 0), is_set(x, y) == (photometric == PHOTOMETRIC_MINISBLACK) ? 1 : 0) << photometric << " " << compression << " " << order << " at " << x << "," << y;
+      }
 }
 
 // ---- JPEG
