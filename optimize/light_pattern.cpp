@@ -16,6 +16,7 @@ constexpr double kNothing = 1e-7;         ///< prior of what a pattern does not 
 constexpr double kFalloffSd = 0.5, kTiltSd = 0.15;   ///< of ln, in the corners: half of the light and more may be lost there; an axis that is a few degrees off
 constexpr double kPlaceChi2 = 1.5;     ///< the deviations are conservative: at most 0.7 on five scenes whose flash is where it is said to be; 1, 2 and 3 cm beside: 2.6, 8.6, 22
 constexpr double kExplained = 0.5;     ///< of the residuals' deviation, in expected ones: 0.2 to 0.33 on diffuse scenes, 0.6 under a sky and a floor that no model follows, 1.5 on a glossy one
+constexpr double kExplainedFalloff = 0.6;   ///< the same for a falloff, whose evidence says more
 constexpr double kImproved = 0.98;     ///< of that deviation: 0.965 for 1 cm, 0.85 for 3; what only looks like a shift leaves 0.993
 constexpr double kVeryStrong = 10;     ///< of the criterion, for a falloff (Kass and Raftery, "Bayes factors", 1995)
 constexpr double kLeastFalloff = 0.03; ///< of ln in the corners
@@ -94,7 +95,7 @@ Candidates fitted(const PatternResiduals& residuals, const LightPattern& already
 std::size_t falloff_of(const Candidates& all, const LightPattern& already) {
   const Candidate& without = *std::min_element(all.begin(), all.begin() + 2, better);
   const auto best = std::min_element(all.begin() + 2, all.end(), better);
-  if (best == all.end() || !(std::fabs(in_corners(*best)) > kLeastFalloff)) return 0;
+  if (best == all.end() || !(std::fabs(in_corners(*best)) > kLeastFalloff) || !(best->fit.after < kExplainedFalloff)) return 0;
   const bool holds = already.falloff.none() ? best->criterion < without.criterion - kVeryStrong && best->fit.after < kImproved * without.fit.after : best->criterion < without.criterion;
   return holds ? static_cast<std::size_t>(best - all.begin()) / 2 * 2 : 0;
 }

@@ -50,6 +50,16 @@ void blend_into(std::vector<float>& values, const std::vector<float>& before, do
   });
 }
 
+/// The same under an even grey sky, on surfaces without a coat.
+Lights plainer(Lights lights) {
+  lights.gloss = {};
+  std::fill(lights.sky.begin() + 1, lights.sky.end(), 0.0);
+  lights.sky_colour = {1, 1, 1};
+  lights.floor = false;
+  lights.floor_albedo = 0;
+  return lights;
+}
+
 /// What else leaves the lights open: covariance of ln flash and of the ambient light, the second in units of `ambient`.
 void add_uncertainty(const Eigen::Matrix2d& covariance, double ambient, LightSolution& solution) {
   solution.covariance(0, 0) += covariance(0, 0);
@@ -121,7 +131,8 @@ LightProblem::LightProblem(const Scene& scene, const Smoother& smoother, const A
 
 LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer, double& change, Reporter& report) {
   sky_ = sky;
-  bool try_gloss = true, choose_sky = !richer_skies(sky, input_.sky, scene_.floor && input_.try_floor).empty();
+  const bool may_be_richer = !richer_skies(sky, input_.sky, scene_.floor && input_.try_floor).empty();
+  bool try_gloss = true, choose_sky = may_be_richer;
   LightSolution solution;
   solution.lights = start;
   std::vector<float> albedo(3 * scene_.proxy.size(), 0.3f);
@@ -140,7 +151,16 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
     const bool settled = outer > kBounceCheck && change < kOuterTolerance;
     const bool estranged = outer == kBounceCheck && leave_out_strangers(solution.lights);
     const bool near = outer > kBounceCheck && change < kSettled;
-    const bool evened = estranged || (near && even_out(start, solution, light_options));
+    const bool decided = !try_gloss && !choose_sky, varied = exposure_spread_ > 0;
+    const bool evened = estranged || (near && even_out(start, solution, light_options, decided));
+    if (!varied && exposure_spread_ > 0 && (gloss_ || sky_.name() != sky.name())) {   // a coat or a richer sky may have stood for it
+      sky_ = sky;
+      solution.lights = plainer(solution.lights);
+      gloss_ = false;
+      gloss_evidence_.reset();
+      try_gloss = true;
+      choose_sky = may_be_richer;
+    }
     bool chose = false, richer = false;
     const bool decide = !evened && (change < kSettled || outer + 1 == most) && outer > kBounceCheck;
     if (decide && try_gloss) {
@@ -153,8 +173,11 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
       richer = choose_richer_sky(start, solution);
     }
     albedo = mean_albedo(solution.lights);
-    if (richer) own_light_settled_ = variation_settled_ = false;
-    if (!evened && settled && !richer) break;
+    if (richer) {
+      own_light_settled_ = variation_settled_ = false;
+      pattern_rounds_ = 0;
+    }
+    if (!evened && settled && !richer && decided) break;
     if (evened || chose) most = outer + 1 + options_.outer_iterations;
     if (!evened && outer > 0) relaxation.observe(light_step(before, solution.lights));
   }
@@ -169,10 +192,10 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   return solution;
 }
 
-/// Takes out what the photographs do not share, or what of their light the project does not say. What single photographs or the light's pattern explain must not pass for a flash
-/// that is never the same: that comes last. Returns whether anything has changed.
-bool LightProblem::even_out(const Lights& start, const LightSolution& solution, const LightSolveOptions& options) {
-  return (exposure_spread_ == 0 && find_own_light(start, solution, false)) || (pattern_rounds_ < kPatternRounds && find_pattern(solution, options)) || find_own_light(start, solution, true);
+/// Takes out what the photographs do not share, or what of their light the project does not say. What single photographs, the light's pattern or its model (decided) explain must not
+/// pass for a flash that is never the same: that comes last. Returns whether anything has changed.
+bool LightProblem::even_out(const Lights& start, const LightSolution& solution, const LightSolveOptions& options, bool decided) {
+  return (exposure_spread_ == 0 && find_own_light(start, solution, false)) || (pattern_rounds_ < kPatternRounds && find_pattern(solution, options)) || (decided && find_own_light(start, solution, true));
 }
 
 /// Where the flash reaches nothing that is seen, its intensity says nothing about the scale: the ambient light starts from a guess that holds it.

@@ -56,7 +56,7 @@ class LightProblem {
   void take_out_exposure(std::size_t k, double factor);
   bool find_own_light(const Lights& start, const LightSolution& solution, bool may_vary);
   void forget_own_lights();
-  bool even_out(const Lights& start, const LightSolution& solution, const LightSolveOptions& options);
+  bool even_out(const Lights& start, const LightSolution& solution, const LightSolveOptions& options, bool decided);
   std::optional<Vec3d> flash_of(std::size_t k) const;
   bool find_pattern(const LightSolution& solution, const LightSolveOptions& options);
   void apply_pattern(const LightPattern& pattern);

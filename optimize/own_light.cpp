@@ -12,7 +12,7 @@ namespace {
 constexpr double kStill = 1e-3;        ///< of ln factor: over
 constexpr double kLongestStep = 0.7;   ///< of ln factor
 constexpr double kFirstSpread = 0.03, kLeastSpread = 1e-3;   ///< of ln brightness
-constexpr int kSpreadRounds = 8;
+constexpr int kSpreadRounds = 8, kSpreadSteps = 2;   ///< of expectation maximisation, and of the factors in each
 constexpr double kSpreadStill = 0.03;  ///< relative
 constexpr std::size_t kTrials = 9;     ///< three photographs, in each of three ways
 constexpr std::size_t kAtOnce = 20;    ///< one photograph in so many is added at a time, at least one
@@ -59,7 +59,7 @@ class Search {
     }
     const Search start = *this;
     add_unlike();
-    if (!own_.may_vary) return found();
+    if (!own_.may_vary || (members_ == 0 && asked_by_all() < own_.evidence)) return found();
     std::vector<Search> tried{*this, start};   // some are unlike the others; all vary; both
     tried[1].forget_all();
     tried[1].let_all_vary();
@@ -84,13 +84,22 @@ class Search {
 
  private:
   void add_unlike() {
-    settle();
+    settle(own_.rounds);
     while (add()) {
-      settle();
+      settle(own_.rounds);
       if (!drop_small()) continue;
-      settle();
+      settle(own_.rounds);
       return;
     }
+  }
+
+  /// What factors of brightness would lower twice the misfit by, each photograph for itself, added up: together they cannot do much more.
+  double asked_by_all() const {
+    const double sharper = dispersion_of(scale_) * dispersion_of(scale_);
+    double sum = 0;
+    for (std::size_t k = 0; k < now_.size(); ++k)
+      if (surfels_[k] >= own_.least_surfels && with_flash_[k]) sum += sharper * gain(k, {kExposure});
+    return sum;
   }
 
   OwnLights found() const {
@@ -132,7 +141,7 @@ class Search {
       }
     for (int round = 0; round < kSpreadRounds; ++round) {
       for (const std::size_t f : varying) prior_sd_[f] = spread_;
-      settle();
+      settle(round == 0 ? own_.rounds : kSpreadSteps);
       const Eigen::MatrixXd covariance = factor_covariance();
       double sum = 0;
       for (std::size_t f = 0; f < used_.size(); ++f)
@@ -151,8 +160,8 @@ class Search {
   }
 
   /// Lights and factors in use to where they suit the samples best.
-  void settle() {
-    for (int round = 0; round < own_.rounds; ++round) {
+  void settle(int rounds) {
+    for (int round = 0; round < rounds; ++round) {
       solve();
       if (used_.empty() || step() < kStill) return;
     }
@@ -377,7 +386,7 @@ class Search {
     for (std::size_t t = 0; t < std::min(kTrials, candidates.size()); ++t) {
       Search trial = *this;
       trial.use(candidates[t], 0);
-      trial.settle();
+      trial.settle(own_.rounds);
       tried.push_back(trial.outcome());
       scale = std::min(scale, trial.scale_);
     }

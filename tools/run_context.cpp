@@ -10,6 +10,12 @@ using Json = nlohmann::ordered_json;
 constexpr std::uint64_t kPipelineVersion = 11;
 }  // namespace
 
+const Photo* photo_of(const Shoot& shoot, const ReferenceInput& reference) {
+  for (const Photo& photo : shoot.photos)
+    if (photo.index_in_acquisition == reference.photograph) return &photo;
+  return nullptr;
+}
+
 Hasher keyed(std::string_view stage) {
   Hasher h;
   h.add(kPipelineVersion).add(stage);

@@ -39,6 +39,9 @@ struct Shoot {
   optimize::AcquisitionResult lights;
 };
 
+/// The photograph that shows a target; null where it was left out.
+const Photo* photo_of(const Shoot& shoot, const ReferenceInput& reference);
+
 /// What to look at where photographs and cloud have nothing in common: the end of a message.
 inline constexpr std::string_view kNothingSeenHint = "are cameras and cloud in the same frame, and do the cloud's normals point outwards (cloud.normals = \"estimate\" does without them)?";
 

@@ -82,7 +82,7 @@ void describe_lights(const std::vector<Shoot>& shoots, const Shoot& shoot, Solve
   a["how"] = how_found(shoots, shoot, method);
   const Acquisition& input = *shoot.acquisition;
   if (input.flash->intensity_range) a["calibrated_range"] = *input.flash->intensity_range;
-  a["references"] = input.references.size();
+  a["references"] = std::count_if(input.references.begin(), input.references.end(), [&](const ReferenceInput& r) { return photo_of(shoot, r) != nullptr; });
   if (lights.lights.size() == 1) {
     a.update(solution_json(lights.lights[0], lights.errors[0]));
     return;

@@ -135,6 +135,10 @@ void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
   }
   if (info["pixels_used"] == 0) throw Error("no usable pixel: everything is masked, saturated or not finite");
   photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
+  const stream::Lens& lens = photo.camera.lens;
+  const int width = info["width"], height = info["height"];
+  if ((width != lens.width_px || height != lens.height_px) && a.encoding != Encoding::kRaw)   // of RAW, cells of 2 x 2 are pixels
+    development_notes_[concat(width, " x ", height, " pixels where the camera is of ", lens.width_px, " x ", lens.height_px, ": taken as a scaled copy of all of it")].push_back(p.file.filename().string());
   photo.camera.lens = stream::scaled_to(photo.camera.lens, info["width"], info["height"], p.file.string());
 }
 

@@ -50,6 +50,21 @@ optimize::FalloffModel falloff_model(FalloffModel m) {
   return optimize::FalloffModel::kAuto;
 }
 
+/// Targets that are not there, or in part.
+void note_references(RunContext& run, const Shoot& shoot) {
+  for (const ReferenceInput& r : shoot.acquisition->references) {
+    const Photo* photo = photo_of(shoot, r);
+    if (!photo) {
+      run.note_both(concat(shoot.acquisition->photographs[r.photograph].key, " was left out, and the reference target in it with it"));
+      continue;
+    }
+    const stream::Lens& lens = photo->camera.lens;
+    const auto outside = [&](const Vec2d& p) { return !(p.x() >= 0 && p.y() >= 0 && p.x() <= lens.width_px && p.y() <= lens.height_px); };
+    if (std::any_of(r.polygon.begin(), r.polygon.end(), outside))
+      run.note_both(concat(photo->input->key, ": the reference target reaches beyond the picture (", lens.width_px, " x ", lens.height_px, " pixels), only its part inside is used; is its outline that of this picture?"));
+  }
+}
+
 /// All photographs that share the lights of a lead, its own first.
 optimize::AcquisitionInput acquisition_input(RunContext& run, std::vector<Shoot>& shoots, std::size_t lead) {
   const Acquisition& a = *shoots[lead].acquisition;
@@ -63,6 +78,7 @@ optimize::AcquisitionInput acquisition_input(RunContext& run, std::vector<Shoot>
   std::vector<Shoot*> of_lead{&shoots[lead]};
   for (std::size_t i = 0; i < shoots.size(); ++i)
     if (i != lead && shoots[i].lead == lead) of_lead.push_back(&shoots[i]);
+  for (Shoot* shoot : of_lead) note_references(run, *shoot);
   for (Shoot* shoot : of_lead)
     for (Photo& photo : shoot->photos) {
       photo.index_in_lights = input.photographs.size();

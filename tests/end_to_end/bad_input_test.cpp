@@ -254,6 +254,36 @@ TEST_F(BadInput, ARangeThatWouldMakeSurfacesWhiterThanWhiteIsNamed) {
   EXPECT_THAT(ran.err, HasSubstr("speak against the flash's calibrated range of 3 to 3.2 W/sr"));
 }
 
+TEST_F(BadInput, ATargetBesideThePictureIsNoted) {
+  TinySceneOptions options;
+  options.reference = true;
+  scene(options);
+  edit("scene/project.toml", "polygon = [[46, 34], [50, 34], [50, 38], [46, 38]]", "polygon = [[46, 34], [50, 34], [50, 80], [46, 80]]");
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("photo_00: the reference target reaches beyond the picture (96 x 72 pixels)"));
+}
+
+TEST_F(BadInput, ATargetOfAPhotographThatIsLeftOutIsNotCounted) {
+  TinySceneOptions options;
+  options.reference = true;
+  const TinyScene s = scene(options);
+  change(s, 0, [](float, std::size_t) { return std::nanf(""); });
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 3) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("photo_00 was left out, and the reference target in it with it"));
+  EXPECT_EQ(lights().at("references"), 0);
+}
+
+TEST_F(BadInput, ScaledCopiesOfWhatTheCameraIsOfAreNotedOnce) {
+  const TinyScene s = scene();
+  edit("scene/sparse/cameras.txt", "96 72 110 110 48 36", "192 144 220 220 96 72");
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("96 x 72 pixels where the camera is of 192 x 144: taken as a scaled copy of all of it"));
+  EXPECT_LE(error_of(s).absolute, 0.02);
+}
+
 TEST_F(BadInput, ARangeThatHoldsTheTruthIsNotDoubted) {
   TinySceneOptions options;
   options.intensity_range = {7.5, 9.5};
