@@ -103,8 +103,8 @@ std::size_t falloff_of(const Candidates& all, const LightPattern& already) {
 /// Whether the flash stands elsewhere. Where the model explains less than expected (highlights, other light), anything that bends like the flash's light would pass for a shift.
 bool shifts(const Candidate& still, const Candidate& moved, const LightPattern& already, const LightPatternOptions& options) {
   if (!(moved.fit.value.segment<3>(kShift).norm() < options.farthest_shift)) return false;
-  if (!already.flash_shift.isZero()) return moved.criterion < still.criterion;
-  return moved.fit.after < kExplained && moved.fit.chi2(kShift, 3) > kPlaceChi2 && moved.fit.after < kImproved * still.fit.after;
+  const bool known = !already.flash_shift.isZero();
+  return moved.fit.chi2(kShift, 3) > kPlaceChi2 && (known || moved.fit.after < kExplained) && moved.fit.after < (known ? 1 : kImproved) * still.fit.after;
 }
 
 LightPattern pattern_of(const Candidate& chosen, double flash_corner_sine) {

@@ -73,6 +73,16 @@ TEST(LightPattern, AFlashBesideItsPlaceIsFoundAndIsNoFalloff) {
   EXPECT_TRUE(found.falloff.none());
 }
 
+TEST(LightPattern, ASmallShiftThatTheSamplesHoldIsKept) {
+  const Vec3d shift(0.006, -0.005, 0.005);
+  std::vector<LightSample> samples = samples_with({shift}, lights());
+  const LightPattern first = pattern_in(samples, lights());
+  EXPECT_LE((first.flash_shift - shift).norm(), 0.002) << first.flash_shift.transpose();
+  for (LightSample& s : samples) s.flash *= static_cast<float>(std::exp(s.flash_by_shift.cast<double>().dot(first.flash_shift)));
+  const LightPattern again = pattern_in(samples, lights(), {}, first);
+  EXPECT_LE((again.flash_shift - first.flash_shift).norm(), 0.001) << again.flash_shift.transpose();
+}
+
 TEST(LightPattern, WhatIsRightIsLeftAlone) {
   const LightPattern found = pattern_of({});
   EXPECT_EQ(found.flash_shift.norm(), 0);
