@@ -225,6 +225,10 @@ class Search {
       effect_[t] = {0.0, -1.0 - x.bounce * d.j[t][layout_.bounce()]};   // what is gathered is as bright as the photograph
       for (int k = 0; k < layout_.sky_terms; ++k) effect_[t][kAmbient] += x.sky[static_cast<std::size_t>(k)] * d.j[t][1 + k];
     }
+    used_here_.clear();
+    for (std::size_t t = 0; t < d.r.size(); ++t)
+      for (std::size_t kind = 0; kind < kKinds; ++kind)
+        if (const Eigen::Index column = column_[kKinds * samples[d.sample[t]].photograph + kind]; column >= 0) used_here_.push_back({t, column, effect_[t][kind]});
     for (std::size_t t = 0; t < d.r.size(); ++t) {
       const double v = d.w[t] * d.robust[t];
       const std::size_t k = samples[d.sample[t]].photograph;
@@ -237,10 +241,7 @@ class Search {
         at_.beside.row(row).head(p) += u * j.transpose();
         for (std::size_t other = 0; other < kKinds; ++other)
           at_.own[k](static_cast<Eigen::Index>(kind), static_cast<Eigen::Index>(other)) += u * effect_[t][other] * (1 - v / sum);
-        for (std::size_t o = 0; o < d.r.size(); ++o)
-          for (std::size_t other = 0; other < kKinds; ++other)
-            if (const Eigen::Index column = column_[kKinds * samples[d.sample[o]].photograph + other]; column >= 0)
-              at_.beside(row, p + column) += u * effect_[o][other] * ((o == t ? 1.0 : 0.0) - d.w[o] * d.robust[o] / sum);
+        for (const UsedHere& f : used_here_) at_.beside(row, p + f.column) += u * f.effect * ((f.sample == t ? 1.0 : 0.0) - d.w[f.sample] * d.robust[f.sample] / sum);
       }
     }
   }
@@ -450,6 +451,13 @@ class Search {
   std::vector<Added> added_;   ///< in this search
   std::vector<bool> with_flash_, unlike_;   ///< unlike_: of each factor, one that not all photographs have
   std::vector<double> prior_sd_;            ///< of each factor
+  /// A factor in use that acts on a sample of the group.
+  struct UsedHere {
+    std::size_t sample;
+    Eigen::Index column;
+    double effect;
+  };
+  std::vector<UsedHere> used_here_;
   std::vector<Eigen::Index> column_;        ///< of each factor among those in use; -1
   double spread_ = 0;
   std::size_t compared_ = 0, members_ = 0;

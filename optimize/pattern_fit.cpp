@@ -27,7 +27,7 @@ PatternResiduals::PatternResiduals(std::span<const LightSample> samples, const L
 }
 
 /// Deviations from their group's mean.
-std::vector<PatternResiduals::Row> PatternResiduals::rows_of(const Pattern& pattern) const {
+PatternResiduals::Rows PatternResiduals::rows_of(const Pattern& pattern) const {
   const auto row_of = [&](const LightSample& s, Row& row) {
     if (!s.flash_photograph) return false;
     row = {};
@@ -45,7 +45,8 @@ std::vector<PatternResiduals::Row> PatternResiduals::rows_of(const Pattern& patt
     row.weight = sample_weight(lights_, s) * static_cast<double>(s.trust);
     return row.weight > 0;
   };
-  std::vector<Row> all, group;
+  Rows rows{{}, {0}};
+  std::vector<Row> group;
   for (std::size_t i = 0; i < samples_.size();) {
     const std::uint32_t id = samples_[i].group;
     group.clear();
@@ -63,45 +64,56 @@ std::vector<PatternResiduals::Row> PatternResiduals::rows_of(const Pattern& patt
       r.residual -= residual / weight;
       r.effect -= effect / weight;
       r.in_mean = r.weight * r.exposure / weight;
-      r.first = static_cast<std::uint32_t>(all.size());
-      r.count = static_cast<std::uint32_t>(group.size());
     }
-    all.insert(all.end(), group.begin(), group.end());
+    rows.all.insert(rows.all.end(), group.begin(), group.end());
+    rows.begins.push_back(rows.all.size());
   }
-  return all;
+  return rows;
 }
 
 Eigen::Index PatternResiduals::unknowns(const Pattern& pattern) const { return kFixed + (pattern.exposure_sd > 0 ? static_cast<Eigen::Index>(photographs_) : 0); }
 
-double PatternResiduals::residual(const std::vector<Row>& rows, const Row& row, const Eigen::VectorXd& x) const {
-  double now = row.residual + row.effect.dot(x.head<kFixed>());
-  if (x.size() == kFixed) return now;
-  now += row.exposure * x[kFixed + row.photograph];
-  for (std::uint32_t s = row.first; s < row.first + row.count; ++s) now -= rows[s].in_mean * x[kFixed + rows[s].photograph];
+std::vector<double> PatternResiduals::residuals(const Rows& rows, const Eigen::VectorXd& x) {
+  std::vector<double> now;
+  for (std::size_t g = 0; g < rows.groups(); ++g) {
+    double mean = 0;
+    if (x.size() > kFixed)
+      for (const Row& r : rows.group(g)) mean += r.in_mean * x[kFixed + r.photograph];
+    for (const Row& r : rows.group(g)) now.push_back(r.residual + r.effect.dot(x.head<kFixed>()) + (x.size() > kFixed ? r.exposure * x[kFixed + r.photograph] : 0.0) - mean);
+  }
   return now;
 }
 
-double PatternResiduals::deviation(const std::vector<Row>& rows, const Eigen::VectorXd& x) const {
-  if (rows.empty()) return 0;
+double PatternResiduals::deviation(const Rows& rows, const std::vector<double>& residuals) {
   std::vector<double> sizes;
-  for (const Row& r : rows) sizes.push_back(std::sqrt(r.weight) * std::fabs(residual(rows, r, x)));
+  for (std::size_t i = 0; i < residuals.size(); ++i) sizes.push_back(std::sqrt(rows.all[i].weight) * std::fabs(residuals[i]));
   const auto mid = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
   std::nth_element(sizes.begin(), mid, sizes.end());
   return std::max(kLeastScale, 1.4826 * *mid);
 }
 
-/// One row into the normal equations.
-void PatternResiduals::add(const std::vector<Row>& rows, const Row& row, double w, Eigen::MatrixXd& a, Eigen::VectorXd& b) const {
-  a.topLeftCorner<kFixed, kFixed>() += w * row.effect * row.effect.transpose();
-  b.head<kFixed>() -= w * row.residual * row.effect;
+/// Into the normal equations. On each row, brightness acts by its own photograph less the group's mean.
+void PatternResiduals::add_group(std::span<const Row> group, std::span<const double> weights, Eigen::MatrixXd& a, Eigen::VectorXd& b) {
+  double weight = 0, residual = 0;
+  Effect effect = Effect::Zero();
+  for (std::size_t r = 0; r < group.size(); ++r) {
+    const Row& row = group[r];
+    a.topLeftCorner<kFixed, kFixed>() += weights[r] * row.effect * row.effect.transpose();
+    b.head<kFixed>() -= weights[r] * row.residual * row.effect;
+    weight += weights[r];
+    residual += weights[r] * row.residual;
+    effect += weights[r] * row.effect;
+  }
   if (b.size() == kFixed) return;
-  const auto of = [&](std::uint32_t s) { return (&rows[s] == &row ? row.exposure : 0.0) - rows[s].in_mean; };
-  for (std::uint32_t s = row.first; s < row.first + row.count; ++s) {
-    const double e = of(s);
-    const Eigen::Index k = kFixed + rows[s].photograph;
-    a.col(k).head<kFixed>() += w * e * row.effect;
-    b[k] -= w * e * row.residual;
-    for (std::uint32_t t = row.first; t < row.first + row.count; ++t) a(kFixed + rows[t].photograph, k) += w * e * of(t);
+  for (std::size_t s = 0; s < group.size(); ++s) {
+    const Row& own = group[s];
+    const Eigen::Index k = kFixed + own.photograph;
+    const double v = weights[s] * own.exposure;
+    a(k, k) += v * own.exposure;
+    a.col(k).head<kFixed>() += v * own.effect - own.in_mean * effect;
+    b[k] -= v * own.residual - own.in_mean * residual;
+    for (std::size_t t = 0; t < group.size(); ++t)
+      a(kFixed + group[t].photograph, k) += weight * own.in_mean * group[t].in_mean - v * group[t].in_mean - weights[t] * group[t].exposure * own.in_mean;
   }
 }
 
@@ -111,27 +123,27 @@ PatternFit PatternResiduals::fit(const Pattern& pattern) const {
   found.value = pattern.already;
   found.covariance = pattern.prior_sd.array().square().matrix().asDiagonal();
   found.beside = Eigen::VectorXd::Zero(all - kMaxPatternUnknowns);
-  const std::vector<Row> rows = rows_of(pattern);
-  if (rows.empty()) return found;
+  const Rows rows = rows_of(pattern);
+  if (rows.all.empty()) return found;
   Eigen::VectorXd prior = Eigen::VectorXd::Ones(all), x = Eigen::VectorXd::Zero(all);   // what this pattern does not have stays 0
   prior.head(n) = pattern.prior_sd.array().square().inverse();
   prior.segment<kLights>(kMaxPatternUnknowns) = lights_sd(options_).array().square().inverse();
   if (open > 0) prior.tail(open).setConstant(1 / (pattern.exposure_sd * pattern.exposure_sd));
   Eigen::MatrixXd information;
+  std::vector<double> now = residuals(rows, x), weights(now.size());
+  found.before = deviation(rows, now);
   for (int round = 0; round < kRounds; ++round) {
-    const double scale = deviation(rows, x), share = share_of(rows.size(), independent_, scale);
+    const double scale = deviation(rows, now), share = share_of(now.size(), independent_, scale);
     information = prior.asDiagonal();
     Eigen::VectorXd b = Eigen::VectorXd::Zero(all);
     b.head(n) = -prior.head(n).cwiseProduct(pattern.already);
-    for (const Row& r : rows) {
-      const double now = residual(rows, r, x);
-      add(rows, r, share * r.weight / (1 + r.weight * now * now / (kCauchy * kCauchy * scale * scale)), information, b);
-    }
+    for (std::size_t i = 0; i < now.size(); ++i) weights[i] = share * rows.all[i].weight / (1 + rows.all[i].weight * now[i] * now[i] / (kCauchy * kCauchy * scale * scale));
+    for (std::size_t g = 0; g < rows.groups(); ++g) add_group(rows.group(g), std::span(weights).subspan(rows.begins[g], rows.group(g).size()), information, b);
     information.bottomLeftCorner(open, kFixed) = information.topRightCorner(kFixed, open).transpose();
     x = information.llt().solve(b);
+    now = residuals(rows, x);
   }
-  found.before = deviation(rows, Eigen::VectorXd::Zero(all));
-  found.after = deviation(rows, x);
+  found.after = deviation(rows, now);
   found.value = pattern.already + x.head(n);
   found.beside = x.tail(all - kMaxPatternUnknowns);
   if (open > 0) found.occam = log_determinant(information) - log_determinant(information.topLeftCorner<kFixed, kFixed>()) - static_cast<double>(open) * std::log(prior[kFixed]);
@@ -143,19 +155,17 @@ PatternFit PatternResiduals::fit(const Pattern& pattern) const {
 }
 
 double PatternResiduals::misfit(const Pattern& pattern, const PatternFit& fit, double scale) const {
-  const std::vector<Row> rows = rows_of(pattern);
+  const Rows rows = rows_of(pattern);
   Eigen::VectorXd x = Eigen::VectorXd::Zero(unknowns(pattern));
   x.head(pattern.size()) = fit.value - pattern.already;
   x.tail(fit.beside.size()) = fit.beside;
   const double width = kCauchy * kCauchy * scale * scale;
   double sum = 0;
-  for (const Row& r : rows) {
-    const double now = residual(rows, r, x);
-    sum += width * std::log1p(r.weight * now * now / width);
-  }
+  const std::vector<double> now = residuals(rows, x);
+  for (std::size_t i = 0; i < now.size(); ++i) sum += width * std::log1p(rows.all[i].weight * now[i] * now[i] / width);
   double priors = fit.beside.head<kLights>().cwiseQuotient(lights_sd(options_)).squaredNorm() + fit.value.cwiseQuotient(pattern.prior_sd).squaredNorm();
   if (pattern.exposure_sd > 0) priors += fit.beside.tail(fit.beside.size() - kLights).squaredNorm() / (pattern.exposure_sd * pattern.exposure_sd);
-  return share_of(rows.size(), independent_, scale) * sum + priors;
+  return share_of(now.size(), independent_, scale) * sum + priors;
 }
 
 double PatternFit::chi2(Eigen::Index first, Eigen::Index count) const {

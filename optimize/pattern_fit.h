@@ -61,13 +61,20 @@ class PatternResiduals {
     double residual = 0, weight = 0;
     Effect effect = Effect::Zero();      ///< of the pattern's unknowns, then of the lights
     double exposure = 0, in_mean = 0;    ///< of ln brightness of its photograph: on the row itself, and of the group's mean on all its rows
-    std::uint32_t photograph = 0, first = 0, count = 0;   ///< its group's rows
+    std::uint32_t photograph = 0;
   };
-  std::vector<Row> rows_of(const Pattern& pattern) const;
+  /// Of rows that share their albedo.
+  struct Rows {
+    std::vector<Row> all;
+    std::vector<std::size_t> begins;     ///< of the groups; the end of the last
+    std::span<const Row> group(std::size_t g) const { return std::span(all).subspan(begins[g], begins[g + 1] - begins[g]); }
+    std::size_t groups() const { return begins.size() - 1; }
+  };
+  Rows rows_of(const Pattern& pattern) const;
   Eigen::Index unknowns(const Pattern& pattern) const;
-  double residual(const std::vector<Row>& rows, const Row& row, const Eigen::VectorXd& x) const;
-  double deviation(const std::vector<Row>& rows, const Eigen::VectorXd& x) const;
-  void add(const std::vector<Row>& rows, const Row& row, double weight, Eigen::MatrixXd& a, Eigen::VectorXd& b) const;
+  static std::vector<double> residuals(const Rows& rows, const Eigen::VectorXd& x);
+  static double deviation(const Rows& rows, const std::vector<double>& residuals);
+  static void add_group(std::span<const Row> group, std::span<const double> weights, Eigen::MatrixXd& a, Eigen::VectorXd& b);
 
   std::span<const LightSample> samples_;
   const Lights& lights_;
