@@ -8,6 +8,7 @@
 #include <system_error>
 
 #include "stream/base/error.h"
+#include "stream/base/text.h"
 #include "stream/cloud/point_stream.h"
 #include "stream/photo/image_io.h"
 #include "stream/store/layer.h"
@@ -152,12 +153,6 @@ class LayerColours final : public ColourSource {
   bool has_albedo_ = false, has_colour_ = false;
   std::size_t next_ = 0;
 };
-
-std::string lower_extension(const fs::path& file) {
-  std::string extension = file.extension().string();
-  for (char& c : extension) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
-  return extension;
-}
 
 }  // namespace
 

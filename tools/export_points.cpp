@@ -12,6 +12,7 @@
 #include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/base/parallel.h"
+#include "stream/base/text.h"
 #include "stream/cloud/point_stream.h"
 #include "stream/store/layer.h"
 #include "tools/export_records.h"
@@ -37,12 +38,6 @@ Box3d grown_bounds(const stream::Manifest& manifest) {
   return {manifest.bounds.min - step, manifest.bounds.max + step};
 }
 
-bool is_written_as(const std::filesystem::path& file, std::string_view extension) {
-  std::string is = file.extension().string();
-  for (char& c : is) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
-  return is == extension;
-}
-
 bool on_one_disk(const std::filesystem::path& a, const std::filesystem::path& b) {
   struct stat in_a {}, in_b {};
   return ::stat(a.c_str(), &in_a) == 0 && ::stat(b.c_str(), &in_b) == 0 && in_a.st_dev == in_b.st_dev;
@@ -56,7 +51,7 @@ class Exporter {
     if (with_albedo()) inserted_ = open_inserted(store, options.layer);
     if (inserted_) stats_.points_inserted = inserted_->seen();
     open_sources();
-    const bool wide_colours = is_written_as(options.file, ".las");  // its fields have 16 bits anyway
+    const bool wide_colours = lower_extension(options.file) == ".las";  // its fields have 16 bits anyway
     rows_.emplace(positions_are_double(), wide_colours, with_albedo(), inserted_.has_value(), sources_ ? sources_->carried() : std::vector<stream::PointProperty>{});
     for (const std::uint64_t n : manifest.source_points) num_sources_ += n;
     num_sources_ = std::max(num_sources_, manifest.points_read);
@@ -88,7 +83,7 @@ class Exporter {
   /// Most programs that read PCD take single precision alone.
   bool positions_are_double() const {
     const bool needed = extent_needs_double(store_.manifest());
-    if (!is_written_as(options_.file, ".pcd")) return sources_ ? sources_->position_is_double() : needed;
+    if (lower_extension(options_.file) != ".pcd") return sources_ ? sources_->position_is_double() : needed;
     if (!needed || (sources_ && !sources_->position_is_double())) return false;
     report_.note("export: the positions are too far from the origin for single precision and are written as double, which many programs do not read from PCD: PLY or LAS is safer");
     return true;
@@ -104,7 +99,7 @@ class Exporter {
       if (with_albedo()) ours.insert(ours.end(), {"albedo_r", "albedo_g", "albedo_b", "sigma", "photos"});
       if (inserted_) ours.push_back("inserted");
       try {
-        sources_.emplace(store_.manifest(), files, SourceFiles::Carry{ours, !is_written_as(options_.file, ".ply")}, budget_.free_bytes() / 2, report_);
+        sources_.emplace(store_.manifest(), files, SourceFiles::Carry{ours, lower_extension(options_.file) != ".ply"}, budget_.free_bytes() / 2, report_);
         return;
       } catch (const Error& e) {
         why = e.what();

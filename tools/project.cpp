@@ -9,6 +9,7 @@
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/base/text.h"
 #include "stream/store/layer.h"
 #include "tools/glob.h"
 #include "tools/project_toml.h"
@@ -47,12 +48,6 @@ std::vector<fs::path> as_files(const toml::node& node, const std::string& key, c
   }
   if (sorted) std::sort(files.begin(), files.end(), [](const fs::path& a, const fs::path& b) { return natural_less(a.string(), b.string()); });
   return files;
-}
-
-std::string lower_extension(const fs::path& file) {
-  std::string extension = file.extension().string();
-  for (char& c : extension) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
-  return extension;
 }
 
 Encoding encoding_by_extension(const fs::path& file) {

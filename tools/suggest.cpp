@@ -1,17 +1,11 @@
 #include "tools/suggest.h"
 
 #include <algorithm>
-#include <cctype>
 #include <vector>
 
+#include "stream/base/text.h"
+
 namespace chiaro::tools {
-namespace {
-std::string lower(std::string_view text) {
-  std::string out(text);
-  for (char& c : out) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  return out;
-}
-}  // namespace
 
 std::size_t edit_distance(std::string_view a, std::string_view b) {
   constexpr std::size_t kLongest = 200;

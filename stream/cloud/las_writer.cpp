@@ -1,10 +1,10 @@
 // LAS 1.4, point format 6 (7 with colour, 8 with near infrared). What the format has no field for goes to extra bytes.
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <set>
 
 #include "stream/base/error.h"
+#include "stream/base/text.h"
 #include "stream/cloud/formats.h"
 #include "stream/cloud/las_format.h"
 #include "stream/cloud/row_writer.h"
@@ -20,11 +20,6 @@ constexpr const char* kFixedNames[] = {"x", "y", "z", "intensity", "bit_fields",
                                        "scanner_channel", "scan_direction", "scan_direction_flag", "edge_of_flight_line", "classification", "user_data", "scan_angle", "point_source_id", "gps_time",
                                        "red", "green", "blue", "nir"};
 constexpr std::size_t kNameBytes = 32;
-
-std::string lower(std::string text) {
-  for (char& c : text) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  return text;
-}
 
 // Readers of some programs do not tell upper from lower case, and 32 bytes are all that a name has.
 std::string extra_name(const std::string& name, std::set<std::string>& taken) {

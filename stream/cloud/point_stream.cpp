@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <bit>
-#include <cctype>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/base/text.h"
 #include "stream/cloud/formats.h"
 #include "stream/cloud/laz_rows.h"
 
@@ -15,12 +15,6 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char* kFormats = "PLY, LAS and LAZ 1.2 to 1.4, E57, PCD, XYZ/TXT/ASC/CSV, PTS and PTX are read";
-
-std::string extension_of(const fs::path& path) {
-  std::string extension = path.extension().string();
-  for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  return extension;
-}
 
 std::string head_of(const File& file) {
   std::string head(64, '\0');
@@ -38,7 +32,7 @@ bool looks_like_ply(const std::string& head) {
 
 std::unique_ptr<PointReader> open_by_content(File file, std::uint64_t memory_bytes) {
   const fs::path path = file.path();
-  const std::string extension = extension_of(path), head = head_of(file);
+  const std::string extension = lower_extension(path), head = head_of(file);
   const auto refuse = [&](const char* why) -> Error { return Error(concat(path.string(), ": ", why, "; ", kFormats)); };
   if (head.empty()) throw refuse("the file is empty");
   if (looks_like_ply(head)) return open_ply(std::move(file));
@@ -115,7 +109,7 @@ Error missing_rust_formats(const fs::path& path, const std::string& format) {
 }
 
 std::unique_ptr<PointWriter> create_points(const fs::path& path, const PointWriterOptions& options) {
-  const std::string extension = extension_of(path);
+  const std::string extension = lower_extension(path);
   if (extension == ".ply") return create_ply(path, options);
   if (extension == ".las") return create_las(path, options);
   if (extension == ".pcd") return create_pcd(path, options);

@@ -2,12 +2,12 @@
 
 #include <algorithm>
 #include <array>
-#include <cctype>
 #include <cmath>
 #include <map>
 #include <string_view>
 
 #include "stream/base/error.h"
+#include "stream/base/text.h"
 #include "stream/cloud/scalars.h"
 
 namespace chiaro::stream {
@@ -15,11 +15,6 @@ namespace {
 
 // No format needs more; without a limit a header alone could make rows of gigabytes.
 constexpr std::size_t kMaxFields = 4096, kMaxRowBytes = 1 << 18;
-
-std::string lower(std::string text) {
-  for (char& c : text) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  return text;
-}
 
 enum Role { kX, kY, kZ, kNx, kNy, kNz, kRed, kGreen, kBlue, kNumRoles };
 

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "stream/base/error.h"
+#include "stream/base/text.h"
 #include "stream/cloud/formats.h"
 #include "stream/cloud/row_decoder.h"
 #include "stream/cloud/row_readers.h"
@@ -254,9 +255,7 @@ class TextOpener {
     if (names_line_ > 0 && names_.size() != num_columns_)
       fail(rows_.line, concat(num_columns_, " values, line ", names_line_, " names ", names_.size(), " columns"));
     if (names_.size() != num_columns_) {
-      std::string extension = file_.path().extension().string();
-      for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-      names_ = samples_.num_columns() > 0 ? guess_names(samples_, extension == ".xyzrgb") : std::vector<std::string>{"x", "y", "z"};
+      names_ = samples_.num_columns() > 0 ? guess_names(samples_, lower_extension(file_.path()) == ".xyzrgb") : std::vector<std::string>{"x", "y", "z"};
       while (names_.size() < num_columns_) names_.push_back(concat("column_", names_.size() + 1));
     }
     for (std::size_t i = 0; i < num_columns_; ++i)

@@ -6,6 +6,7 @@
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/base/text.h"
 #include "stream/photo/camera_files_detail.h"
 
 namespace chiaro::stream {
@@ -43,12 +44,6 @@ std::vector<Camera> read_folder(const fs::path& folder, std::vector<std::string>
     return detail::read_colmap(at, binary, notes);
   }
   throw Error(concat(folder.string(), ": no cameras found, expected a COLMAP model: cameras.bin and images.bin, or cameras.txt and images.txt"));
-}
-
-std::string lower(std::string text) {
-  for (char& c : text)
-    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
-  return text;
 }
 
 /// Path parts, whichever slash the writer used: camera files travel between systems.
@@ -113,7 +108,7 @@ struct Candidates {
 std::vector<Camera> read_cameras(const fs::path& folder_or_file, std::vector<std::string>& notes) {
   if (is_folder(folder_or_file)) return read_folder(folder_or_file, notes);
   if (!is_file(folder_or_file)) throw Error(concat(folder_or_file.string(), ": cameras not found: no such file or folder"));
-  const std::string extension = lower(folder_or_file.extension().string()), stem = folder_or_file.stem().string();
+  const std::string extension = lower_extension(folder_or_file), stem = folder_or_file.stem().string();
   if (extension == ".xml") return detail::read_metashape(folder_or_file, notes);
   if ((extension == ".bin" || extension == ".txt") && (stem == "cameras" || stem == "images")) {
     const fs::path folder = folder_or_file.has_parent_path() ? folder_or_file.parent_path() : fs::path(".");

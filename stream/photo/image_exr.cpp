@@ -14,6 +14,7 @@
 #include <map>
 
 #include "stream/base/file.h"
+#include "stream/base/text.h"
 #include "stream/photo/image_io_detail.h"
 
 namespace chiaro::stream {
@@ -209,8 +210,7 @@ std::string joined(const std::vector<std::string>& names) {
 
 /// A picture of one channel is grey; one of distances is no photograph.
 std::string only_channel(const fs::path& path, const std::string& name, ImageInfo& info) {
-  std::string last = name.substr(name.rfind('.') + 1);
-  for (char& c : last) c = static_cast<char>(c >= 'A' && c <= 'Z' ? c + 32 : c);
+  const std::string last = lower(name.substr(name.rfind('.') + 1));
   if (last == "z" || last == "depth") throw Error(concat(path.string(), ": holds the channel \"", name, "\" alone, which is a depth, expected R, G, B or Y", info.notes.empty() ? "" : ", in the first part of the file"));
   info.notes.push_back(concat("its only channel, \"", name, "\", is taken as grey"));
   return name;

@@ -5,6 +5,7 @@
 #include <cstring>
 
 #include "stream/base/file.h"
+#include "stream/base/text.h"
 #include "stream/photo/image_io_detail.h"
 
 namespace chiaro::stream {
@@ -12,9 +13,7 @@ namespace fs = std::filesystem;
 namespace {
 
 bool is_raw_name(const fs::path& path) {
-  std::string extension = path.extension().string();
-  for (char& c : extension)
-    if (c >= 'A' && c <= 'Z') c = static_cast<char>(c - 'A' + 'a');
+  const std::string extension = lower_extension(path);
   constexpr const char* kRaw[] = {".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".srf", ".sr2", ".dng", ".raf", ".orf", ".rw2",
                                   ".pef", ".iiq", ".3fr", ".fff", ".mos", ".kdc", ".dcr", ".erf", ".mef", ".mrw", ".srw", ".x3f"};
   return std::any_of(std::begin(kRaw), std::end(kRaw), [&](const char* raw) { return extension == raw; });
