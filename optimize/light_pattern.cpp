@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 
+#include "optimize/own_light.h"
 #include "optimize/pattern_fit.h"
 
 namespace chiaro::optimize {
@@ -18,7 +19,6 @@ constexpr double kPlaceChi2 = 1.5;     ///< the deviations are conservative: at 
 constexpr double kExplained = 0.5;     ///< of the residuals' deviation, in expected ones: 0.2 to 0.33 on diffuse scenes, 0.6 under a sky and a floor that no model follows, 1.5 on a glossy one
 constexpr double kExplainedFalloff = 0.6;   ///< the same for a falloff, whose evidence says more
 constexpr double kImproved = 0.98;     ///< of that deviation: 0.965 for 1 cm, 0.85 for 3; what only looks like a shift leaves 0.993
-constexpr double kVeryStrong = 10;     ///< of the criterion, for a falloff (Kass and Raftery, "Bayes factors", 1995)
 constexpr double kLeastFalloff = 0.03; ///< of ln in the corners
 
 struct Candidate {
@@ -39,7 +39,7 @@ PatternEffect effect_of(const LightSample& s) {
 }
 
 Candidate candidate(bool shift, FalloffModel falloff, double exposure_sd, const LightPattern& already, const LightPatternOptions& options) {
-  Candidate c{shift, falloff, {PatternVector::Zero(kUnknowns), PatternVector::Constant(kUnknowns, kNothing), effect_of}, {}};
+  Candidate c{shift, falloff, {PatternVector::Zero(kUnknowns), PatternVector::Constant(kUnknowns, kNothing)}, {}};
   c.pattern.already.segment<3>(kShift) = already.flash_shift;
   c.pattern.already.segment<2>(kLens) = already.falloff.lens;
   c.pattern.already.segment<4>(kFlash) = already.falloff.flash;
@@ -56,7 +56,18 @@ std::vector<FalloffModel> models_of(FalloffModel wanted) {
   return {FalloffModel::kNone, wanted};
 }
 
-double in_corners(const Candidate& c) { return c.falloff == FalloffModel::kLens ? c.fit.value.segment<2>(kLens).sum() : c.fit.value.segment<2>(kFlash + 2).sum(); }
+Falloff falloff_of(const Candidate& c) {
+  Falloff f;
+  if (c.falloff == FalloffModel::kLens) {
+    f.lens = c.fit.value.segment<2>(kLens);
+    f.covariance.topLeftCorner<2, 2>() = c.fit.covariance.block<2, 2>(kLens, kLens);
+  }
+  if (c.falloff == FalloffModel::kFlash) {
+    f.flash = c.fit.value.segment<4>(kFlash);
+    f.covariance = c.fit.covariance.block<4, 4>(kFlash, kFlash);
+  }
+  return f;
+}
 
 using Candidates = std::vector<Candidate>;
 
@@ -92,10 +103,10 @@ Candidates fitted(const PatternResiduals& residuals, const LightPattern& already
 }
 
 /// Of fitted(), where the two candidates of the model of the falloff are that holds.
-std::size_t falloff_of(const Candidates& all, const LightPattern& already) {
+std::size_t family_of(const Candidates& all, const LightPattern& already) {
   const Candidate& without = *std::min_element(all.begin(), all.begin() + 2, better);
   const auto best = std::min_element(all.begin() + 2, all.end(), better);
-  if (best == all.end() || !(std::fabs(in_corners(*best)) > kLeastFalloff) || !(best->fit.after < kExplainedFalloff)) return 0;
+  if (best == all.end() || !(std::fabs(std::log(kept_in_corners(falloff_of(*best)))) > kLeastFalloff) || !(best->fit.after < kExplainedFalloff)) return 0;
   const bool holds = already.falloff.none() ? best->criterion < without.criterion - kVeryStrong && best->fit.after < kImproved * without.fit.after : best->criterion < without.criterion;
   return holds ? static_cast<std::size_t>(best - all.begin()) / 2 * 2 : 0;
 }
@@ -109,25 +120,18 @@ bool shifts(const Candidate& still, const Candidate& moved, const LightPattern& 
 
 LightPattern pattern_of(const Candidate& chosen, double flash_corner_sine) {
   LightPattern p;
+  p.falloff = falloff_of(chosen);
   p.falloff.flash_corner_sine = flash_corner_sine;
   if (chosen.shift) p.flash_shift = chosen.fit.value.segment<3>(kShift);
-  if (chosen.falloff == FalloffModel::kLens) {
-    p.falloff.lens = chosen.fit.value.segment<2>(kLens);
-    p.falloff.covariance.topLeftCorner<2, 2>() = chosen.fit.covariance.block<2, 2>(kLens, kLens);
-  }
-  if (chosen.falloff == FalloffModel::kFlash) {
-    p.falloff.flash = chosen.fit.value.segment<4>(kFlash);
-    p.falloff.covariance = chosen.fit.covariance.block<4, 4>(kFlash, kFlash);
-  }
   return p;
 }
 
 }  // namespace
 
 FoundPattern find_light_pattern(std::span<const LightSample> samples, const Lights& lights, const LightPattern& already, double independent, const LightPatternOptions& options) {
-  const PatternResiduals residuals(samples, lights, independent);
+  const PatternResiduals residuals(samples, lights, effect_of, independent);
   const Candidates all = fitted(residuals, already, independent, options);
-  const std::size_t family = falloff_of(all, already);
+  const std::size_t family = family_of(all, already);
   const Candidate& chosen = all[family + (shifts(all[family], all[family + 1], already, options) ? 1 : 0)];
   FoundPattern found{pattern_of(chosen, already.falloff.flash_corner_sine)};
   if (chosen.unknowns() > 0) found.lights_covariance = chosen.fit.lights_covariance;

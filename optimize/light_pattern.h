@@ -7,8 +7,6 @@
 
 namespace chiaro::optimize {
 
-inline constexpr double kUsualSpread = 0.03;   ///< of ln brightness: what flashes are not the same by, most
-
 enum class FalloffModel { kNone, kLens, kFlash, kAuto };
 
 struct LightPattern {
@@ -20,7 +18,7 @@ struct LightPatternOptions {
   double shift_prior_sd = 0.03;   ///< project units (here 3 cm), of each coordinate: how well people measure it
   double farthest_shift = 0.06;   ///< nobody mistakes more
   FalloffModel falloff = FalloffModel::kAuto;
-  double exposure_spread = 0;     ///< of ln brightness of the photographs, as far as it is known to vary; 0: it may, and then by kUsualSpread
+  double exposure_spread = 0;     ///< of ln brightness of the photographs, as far as it is known to vary; 0: it may, and then by kUsualSpread (optimize/own_light.h)
 };
 
 struct FoundPattern {

@@ -10,7 +10,6 @@ namespace chiaro::optimize {
 namespace {
 
 constexpr double kNoBouncesEvidence = 8;   ///< of ln likelihood: 16 to 115 on photographs without interreflections, -3 and less on eleven with them, 0 on a sphere
-constexpr double kVeryStrong = 10;     ///< of the criterion, for a richer sky: what it gains is small, and what it loses where it is wrong is not (Kass and Raftery, "Bayes factors", 1995)
 constexpr std::array kRoughnessStarts{0.12, 0.2, 0.3, 0.45};   ///< a broad lobe is another minimum: it passes for a change of the lights
 constexpr std::size_t kGlossLooks = 3;     ///< photographs of one place that tell a highlight from the rest
 
@@ -66,7 +65,7 @@ bool LightProblem::choose_richer_sky(const Lights& start, LightSolution& solutio
   const Lights base = solution.lights;
   const double price = std::log(std::max(2.0, independent_residuals(samples_, plain_options))), reference = 2 * light_misfit(samples_, plain_options, base, base) + price * plain.parameters();
   SkyShape best = plain;
-  double least = -kVeryStrong;
+  double least = -kVeryStrong;   // what a richer sky gains is small, and what it loses where it is wrong is not
   sky_evidence_ = {{plain.name(), plain.parameters(), 0}};
   for (const SkyShape& candidate : richer_skies(plain, input_.sky, scene_.floor && input_.try_floor)) {
     sky_ = candidate;

@@ -97,6 +97,8 @@ double body_radiosity(const Lights& lights, const LightSample& sample, int c);
 /// Base weight of a sample: 1 / variance of ln(B / H) expected from noise, normals, sub-pixel spread and gather noise.
 double sample_weight(const Lights& lights, const LightSample& sample);
 
+inline constexpr double kVeryStrong = 10;     ///< of a Bayesian information criterion, twice the logarithm of the evidence: Kass and Raftery, "Bayes factors", 1995
+
 /// -ln likelihood of the samples under `lights`, up to a constant that all lights share: robust, and counting the samples for as many independent residuals as
 /// solve_lights() does. Weights and scale are those of `base`, so that two lights can be compared.
 double light_misfit(std::span<const LightSample> samples, const LightSolveOptions& options, const Lights& lights, const Lights& base);

@@ -11,7 +11,7 @@ namespace {
 
 constexpr double kStill = 1e-3;        ///< of ln factor: over
 constexpr double kLongestStep = 0.7;   ///< of ln factor
-constexpr double kFirstSpread = 0.03, kLeastSpread = 1e-3;   ///< of ln brightness
+constexpr double kLeastSpread = 1e-3;    ///< of ln brightness
 constexpr int kSpreadRounds = 8, kSpreadSteps = 2;   ///< of expectation maximisation, and of the factors in each
 constexpr double kSpreadStill = 0.03;  ///< relative
 constexpr std::size_t kTrials = 9;     ///< three photographs, in each of three ways
@@ -132,7 +132,7 @@ class Search {
 
   /// A factor of brightness for all photographs that have none, with a prior as wide as they scatter.
   void let_all_vary() {
-    if (!(spread_ > 0)) spread_ = kFirstSpread;
+    if (!(spread_ > 0)) spread_ = kUsualSpread;
     std::vector<std::size_t> varying;
     for (std::size_t k = 0; k < now_.size(); ++k)
       if (const std::size_t f = kKinds * k + kExposure; surfels_[k] >= own_.least_surfels && with_flash_[k] && !unlike_[f]) {

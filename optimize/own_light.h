@@ -8,6 +8,8 @@
 
 namespace chiaro::optimize {
 
+inline constexpr double kUsualSpread = 0.03;   ///< of ln brightness: what flashes are not the same by, most
+
 /// Of one photograph, beside the others'.
 struct OwnLight {
   double ambient = 1;         ///< factor on the ambient light
@@ -20,7 +22,7 @@ struct OwnLightOptions {
   double ambient_ln_sd = 0.7, exposure_ln_sd = 0.3;   ///< priors, around 1: half or twice the ambient light is nothing strange
   double least_spread = 0.003;       ///< of ln brightness over all photographs
   bool may_vary = true;              ///< whether all photographs may differ in brightness
-  double evidence = 10;              ///< of the Bayesian information criterion, for a factor of its own: very strong (Kass and Raftery, "Bayes factors", 1995)
+  double evidence = kVeryStrong;     ///< for a factor of its own, and for factors of all
   double least_ambient = 0.1, least_exposure = 0.04;   ///< of their logarithms; less is more likely the model's than the room's or the camera's
   double least_deviations = 3;       ///< squared: so many times what a factor of any other photograph would explain
   std::size_t least_surfels = 50;    ///< that a photograph shares with others

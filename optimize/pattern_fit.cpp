@@ -21,72 +21,69 @@ double log_determinant(const Eigen::MatrixXd& a) { return 2 * Eigen::LLT<Eigen::
 
 }  // namespace
 
-PatternResiduals::PatternResiduals(std::span<const LightSample> samples, const Lights& lights, double independent, const PatternFitOptions& options)
-    : samples_(samples), lights_(lights), independent_(independent), options_(options) {
+PatternResiduals::PatternResiduals(std::span<const LightSample> samples, const Lights& lights, const std::function<PatternEffect(const LightSample&)>& effect, double independent, const PatternFitOptions& options)
+    : independent_(independent), options_(options) {
   for (const LightSample& s : samples) photographs_ = std::max<std::size_t>(photographs_, s.photograph + 1);
+  std::vector<Row> group;
+  for (std::size_t i = 0; i < samples.size();) {
+    const std::uint32_t id = samples[i].group;
+    group.clear();
+    for (; i < samples.size() && samples[i].group == id; ++i)
+      if (Row r; samples[i].flash_photograph && row_of(samples[i], lights, effect(samples[i]), r)) group.push_back(r);
+    if (group.size() > 1) add_rows(group);
+  }
 }
 
-/// Deviations from their group's mean.
-PatternResiduals::Rows PatternResiduals::rows_of(const Pattern& pattern) const {
-  const auto row_of = [&](const LightSample& s, Row& row) {
-    if (!s.flash_photograph) return false;
-    row = {};
-    row.photograph = s.photograph;
-    const PatternEffect effect = pattern.effect(s);
-    for (int c = 0; c < 3; ++c) {
-      const double h = irradiance(lights_, s, c), b = body_radiosity(lights_, s, c);
-      if (!(h > 0) || !(b > 0)) return false;
-      row.residual += std::log(b / h) / 3;
-      const double direct = lights_.flash_intensity * static_cast<double>(s.flash) / h, gathered = static_cast<double>(s.gathered[static_cast<std::size_t>(c)]) / h;
-      row.effect.head(pattern.size()) -= (direct * effect.of_flash + effect.of_picture) / 3;
-      row.effect.tail<kLights>() -= Vec3d(direct, std::max(0.0, 1 - direct - lights_.bounce * gathered), gathered) / 3;
-      row.exposure -= (1 - lights_.bounce * gathered) / 3;   // what is gathered is as bright as the photograph
-    }
-    row.weight = sample_weight(lights_, s) * static_cast<double>(s.trust);
-    return row.weight > 0;
-  };
-  Rows rows{{}, {0}};
-  std::vector<Row> group;
-  for (std::size_t i = 0; i < samples_.size();) {
-    const std::uint32_t id = samples_[i].group;
-    group.clear();
-    for (; i < samples_.size() && samples_[i].group == id; ++i)
-      if (Row r; row_of(samples_[i], r)) group.push_back(r);
-    if (group.size() < 2) continue;
-    double weight = 0, residual = 0;
-    Effect effect = Effect::Zero();
-    for (const Row& r : group) {
-      weight += r.weight;
-      residual += r.weight * r.residual;
-      effect += r.weight * r.effect;
-    }
-    for (Row& r : group) {
-      r.residual -= residual / weight;
-      r.effect -= effect / weight;
-      r.in_mean = r.weight * r.exposure / weight;
-    }
-    rows.all.insert(rows.all.end(), group.begin(), group.end());
-    rows.begins.push_back(rows.all.size());
+/// False where the sample says nothing.
+bool PatternResiduals::row_of(const LightSample& s, const Lights& lights, const PatternEffect& effect, Row& row) {
+  row.photograph = s.photograph;
+  for (int c = 0; c < 3; ++c) {
+    const double h = irradiance(lights, s, c), b = body_radiosity(lights, s, c);
+    if (!(h > 0) || !(b > 0)) return false;
+    row.residual += std::log(b / h) / 3;
+    const double direct = lights.flash_intensity * static_cast<double>(s.flash) / h, gathered = static_cast<double>(s.gathered[static_cast<std::size_t>(c)]) / h;
+    row.effect.head(effect.of_flash.size()) -= (direct * effect.of_flash + effect.of_picture) / 3;
+    row.effect.tail<kLights>() -= Vec3d(direct, std::max(0.0, 1 - direct - lights.bounce * gathered), gathered) / 3;
+    row.exposure -= (1 - lights.bounce * gathered) / 3;   // what is gathered is as bright as the photograph
   }
-  return rows;
+  row.weight = sample_weight(lights, s) * static_cast<double>(s.trust);
+  return row.weight > 0;
+}
+
+/// As deviations from the group's mean.
+void PatternResiduals::add_rows(std::vector<Row>& group) {
+  double weight = 0, residual = 0;
+  Effect effect = Effect::Zero();
+  for (const Row& r : group) {
+    weight += r.weight;
+    residual += r.weight * r.residual;
+    effect += r.weight * r.effect;
+  }
+  for (Row& r : group) {
+    r.residual -= residual / weight;
+    r.effect -= effect / weight;
+    r.in_mean = r.weight * r.exposure / weight;
+  }
+  rows_.insert(rows_.end(), group.begin(), group.end());
+  begins_.push_back(rows_.size());
 }
 
 Eigen::Index PatternResiduals::unknowns(const Pattern& pattern) const { return kFixed + (pattern.exposure_sd > 0 ? static_cast<Eigen::Index>(photographs_) : 0); }
 
-std::vector<double> PatternResiduals::residuals(const Rows& rows, const Eigen::VectorXd& x) {
+std::vector<double> PatternResiduals::residuals(const Eigen::VectorXd& x) const {
   std::vector<double> now;
-  for (std::size_t g = 0; g < rows.groups(); ++g) {
+  for (std::size_t g = 0; g < groups(); ++g) {
     double mean = 0;
     if (x.size() > kFixed)
-      for (const Row& r : rows.group(g)) mean += r.in_mean * x[kFixed + r.photograph];
-    for (const Row& r : rows.group(g)) now.push_back(r.residual + r.effect.dot(x.head<kFixed>()) + (x.size() > kFixed ? r.exposure * x[kFixed + r.photograph] : 0.0) - mean);
+      for (const Row& r : group(g)) mean += r.in_mean * x[kFixed + r.photograph];
+    for (const Row& r : group(g)) now.push_back(r.residual + r.effect.dot(x.head<kFixed>()) + (x.size() > kFixed ? r.exposure * x[kFixed + r.photograph] : 0.0) - mean);
   }
   return now;
 }
 
-double PatternResiduals::deviation(const Rows& rows, const std::vector<double>& residuals) {
+double PatternResiduals::deviation(const std::vector<double>& residuals) const {
   std::vector<double> sizes;
-  for (std::size_t i = 0; i < residuals.size(); ++i) sizes.push_back(std::sqrt(rows.all[i].weight) * std::fabs(residuals[i]));
+  for (std::size_t i = 0; i < residuals.size(); ++i) sizes.push_back(std::sqrt(rows_[i].weight) * std::fabs(residuals[i]));
   const auto mid = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
   std::nth_element(sizes.begin(), mid, sizes.end());
   return std::max(kLeastScale, 1.4826 * *mid);
@@ -123,27 +120,26 @@ PatternFit PatternResiduals::fit(const Pattern& pattern) const {
   found.value = pattern.already;
   found.covariance = pattern.prior_sd.array().square().matrix().asDiagonal();
   found.beside = Eigen::VectorXd::Zero(all - kMaxPatternUnknowns);
-  const Rows rows = rows_of(pattern);
-  if (rows.all.empty()) return found;
+  if (rows_.empty()) return found;
   Eigen::VectorXd prior = Eigen::VectorXd::Ones(all), x = Eigen::VectorXd::Zero(all);   // what this pattern does not have stays 0
   prior.head(n) = pattern.prior_sd.array().square().inverse();
   prior.segment<kLights>(kMaxPatternUnknowns) = lights_sd(options_).array().square().inverse();
   if (open > 0) prior.tail(open).setConstant(1 / (pattern.exposure_sd * pattern.exposure_sd));
   Eigen::MatrixXd information;
-  std::vector<double> now = residuals(rows, x), weights(now.size());
-  found.before = deviation(rows, now);
+  std::vector<double> now = residuals(x), weights(now.size());
+  found.before = deviation(now);
   for (int round = 0; round < kRounds; ++round) {
-    const double scale = deviation(rows, now), share = share_of(now.size(), independent_, scale);
+    const double scale = deviation(now), share = share_of(now.size(), independent_, scale);
     information = prior.asDiagonal();
     Eigen::VectorXd b = Eigen::VectorXd::Zero(all);
     b.head(n) = -prior.head(n).cwiseProduct(pattern.already);
-    for (std::size_t i = 0; i < now.size(); ++i) weights[i] = share * rows.all[i].weight / (1 + rows.all[i].weight * now[i] * now[i] / (kCauchy * kCauchy * scale * scale));
-    for (std::size_t g = 0; g < rows.groups(); ++g) add_group(rows.group(g), std::span(weights).subspan(rows.begins[g], rows.group(g).size()), information, b);
+    for (std::size_t i = 0; i < now.size(); ++i) weights[i] = share * rows_[i].weight / (1 + rows_[i].weight * now[i] * now[i] / (kCauchy * kCauchy * scale * scale));
+    for (std::size_t g = 0; g < groups(); ++g) add_group(group(g), std::span(weights).subspan(begins_[g], group(g).size()), information, b);
     information.bottomLeftCorner(open, kFixed) = information.topRightCorner(kFixed, open).transpose();
     x = information.llt().solve(b);
-    now = residuals(rows, x);
+    now = residuals(x);
   }
-  found.after = deviation(rows, now);
+  found.after = deviation(now);
   found.value = pattern.already + x.head(n);
   found.beside = x.tail(all - kMaxPatternUnknowns);
   if (open > 0) found.occam = log_determinant(information) - log_determinant(information.topLeftCorner<kFixed, kFixed>()) - static_cast<double>(open) * std::log(prior[kFixed]);
@@ -155,14 +151,13 @@ PatternFit PatternResiduals::fit(const Pattern& pattern) const {
 }
 
 double PatternResiduals::misfit(const Pattern& pattern, const PatternFit& fit, double scale) const {
-  const Rows rows = rows_of(pattern);
   Eigen::VectorXd x = Eigen::VectorXd::Zero(unknowns(pattern));
   x.head(pattern.size()) = fit.value - pattern.already;
   x.tail(fit.beside.size()) = fit.beside;
   const double width = kCauchy * kCauchy * scale * scale;
   double sum = 0;
-  const std::vector<double> now = residuals(rows, x);
-  for (std::size_t i = 0; i < now.size(); ++i) sum += width * std::log1p(rows.all[i].weight * now[i] * now[i] / width);
+  const std::vector<double> now = residuals(x);
+  for (std::size_t i = 0; i < now.size(); ++i) sum += width * std::log1p(rows_[i].weight * now[i] * now[i] / width);
   double priors = fit.beside.head<kLights>().cwiseQuotient(lights_sd(options_)).squaredNorm() + fit.value.cwiseQuotient(pattern.prior_sd).squaredNorm();
   if (pattern.exposure_sd > 0) priors += fit.beside.tail(fit.beside.size() - kLights).squaredNorm() / (pattern.exposure_sd * pattern.exposure_sd);
   return share_of(now.size(), independent_, scale) * sum + priors;

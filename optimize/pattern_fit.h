@@ -18,11 +18,10 @@ struct PatternEffect {
   PatternVector of_flash, of_picture;
 };
 
-/// Some unknowns, in the order of the vectors here.
+/// What is known of them before, in the order of PatternEffect's vectors.
 struct Pattern {
   PatternVector already;    ///< what the samples hold
   PatternVector prior_sd;   ///< of the whole, around 0
-  std::function<PatternEffect(const LightSample&)> effect;
   double exposure_sd = 0;   ///< not 0: the brightness of each photograph is left open beside them, ln of it by so much
   Eigen::Index size() const { return already.size(); }
 };
@@ -45,8 +44,8 @@ struct PatternFit {
 /// Residuals of ln(B / H) within groups, mean of the channels, of photographs with flash.
 class PatternResiduals {
  public:
-  /// independent: residuals that the samples count for (independent_residuals()). The samples must outlive this.
-  PatternResiduals(std::span<const LightSample> samples, const Lights& lights, double independent, const PatternFitOptions& options = {});
+  /// independent: residuals that the samples count for (independent_residuals()).
+  PatternResiduals(std::span<const LightSample> samples, const Lights& lights, const std::function<PatternEffect(const LightSample&)>& effect, double independent, const PatternFitOptions& options = {});
 
   /// Least squares, robust, linear in the unknowns; lights are free beside them. threads: one.
   PatternFit fit(const Pattern& pattern) const;
@@ -63,24 +62,20 @@ class PatternResiduals {
     double exposure = 0, in_mean = 0;    ///< of ln brightness of its photograph: on the row itself, and of the group's mean on all its rows
     std::uint32_t photograph = 0;
   };
-  /// Of rows that share their albedo.
-  struct Rows {
-    std::vector<Row> all;
-    std::vector<std::size_t> begins;     ///< of the groups; the end of the last
-    std::span<const Row> group(std::size_t g) const { return std::span(all).subspan(begins[g], begins[g + 1] - begins[g]); }
-    std::size_t groups() const { return begins.size() - 1; }
-  };
-  Rows rows_of(const Pattern& pattern) const;
+  std::size_t groups() const { return begins_.size() - 1; }
+  std::span<const Row> group(std::size_t g) const { return std::span(rows_).subspan(begins_[g], begins_[g + 1] - begins_[g]); }
+  static bool row_of(const LightSample& sample, const Lights& lights, const PatternEffect& effect, Row& row);
+  void add_rows(std::vector<Row>& group);
   Eigen::Index unknowns(const Pattern& pattern) const;
-  static std::vector<double> residuals(const Rows& rows, const Eigen::VectorXd& x);
-  static double deviation(const Rows& rows, const std::vector<double>& residuals);
+  std::vector<double> residuals(const Eigen::VectorXd& x) const;
+  double deviation(const std::vector<double>& residuals) const;
   static void add_group(std::span<const Row> group, std::span<const double> weights, Eigen::MatrixXd& a, Eigen::VectorXd& b);
 
-  std::span<const LightSample> samples_;
-  const Lights& lights_;
   double independent_;
   PatternFitOptions options_;
   std::size_t photographs_ = 0;
+  std::vector<Row> rows_;
+  std::vector<std::size_t> begins_{0};   ///< of the groups that share their albedo; the end of the last
 };
 
 }  // namespace chiaro::optimize

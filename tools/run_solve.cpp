@@ -113,9 +113,11 @@ void add_light_inputs(Hasher& h, const optimize::AcquisitionInput& input, const 
   }
 }
 
-void note_own_lights(RunContext& run, const std::vector<std::string>& names, const std::vector<optimize::OwnLight>& own_lights) {
-  for (std::size_t k = 0; k < own_lights.size(); ++k) {
-    const optimize::OwnLight& own = own_lights[k];
+void note_own_lights(RunContext& run, const std::string& acquisition, const std::vector<std::string>& names, const optimize::AcquisitionResult& lights) {
+  if (lights.exposure_spread > 0)
+    run.note_both(concat("acquisition \"", acquisition, "\": the brightness of its photographs varies by ", format_number(100 * lights.exposure_spread, 2), " % (standard deviation), as of a flash that is not always the same; this was taken out before the lights were solved"));
+  for (std::size_t k = 0; k < lights.own_lights.size(); ++k) {
+    const optimize::OwnLight& own = lights.own_lights[k];
     if (own.unlike)
       run.note_both(concat(names[k], ": ", format_number(own.exposure, 3), " times as bright as the other photographs of its acquisition say; this was taken out before the lights were solved"));
     if (own.ambient != 1) run.note_both(concat(names[k], ": ambient light ", format_number(own.ambient, 3), " times that of the others, corrected"));
@@ -154,9 +156,7 @@ void solve_lights(RunContext& run, const stream::Store& store, std::vector<Shoot
   });
   shoot.lights = lights_from_json(info);
   for (const std::string& n : shoot.lights.notes) run.note_both(n);
-  if (const double spread = shoot.lights.exposure_spread; spread > 0)
-    run.note_both(concat("acquisition \"", a.name, "\": the brightness of its photographs varies by ", format_number(100 * spread, 2), " % (standard deviation), as of a flash that is not always the same; this was taken out before the lights were solved"));
-  note_own_lights(run, input.names, shoot.lights.own_lights);
+  note_own_lights(run, a.name, input.names, shoot.lights);
   if (shoot.lights.proxy_seen == 0 && input.method != Method::kDirect && input.method != Method::kAdam)
     throw Error(concat("acquisition \"", a.name, "\": no surfel of the cloud is seen well enough by any photograph: ", kNothingSeenHint));
 }
