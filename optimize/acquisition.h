@@ -62,7 +62,7 @@ struct AcquisitionResult {
   std::vector<LightSolution> lights;       ///< one for the acquisition (joint), or one per flash photograph (single, adam)
   std::vector<std::size_t> light_of_photograph;
   std::vector<OwnLight> own_lights;        ///< of each photograph: factors on its ambient light, and of its brightness that was taken out; 1 where it is like the others (optimize/own_light.h)
-  double exposure_spread = 0;              ///< standard deviation of ln brightness over the photographs, where they vary (optimize/own_light.h)
+  LightSpread spread{};                    ///< over the photographs, where they vary (optimize/own_light.h)
   LightPattern pattern;                    ///< where the flash stands, and how light falls off over the pictures (joint)
   std::vector<bool> strangers;             ///< of each photograph: it shows something else than the others, and took no part (optimize/strangers.h)
   std::size_t proxy_surfels = 0, proxy_seen = 0;

@@ -186,7 +186,7 @@ class AcquisitionSolver {
     const bool several = photographs.size() > 1;
     if (several) {
       take_pattern(problem.pattern());
-      result_.exposure_spread = problem.exposure_spread();
+      result_.spread = problem.light_spread();
     }
     if (const Gloss& gloss = solution.lights.gloss; gloss.on)
       note(concat("the surfaces are glossy: a clear coat that mirrors ", tenths(100 * static_cast<double>(gloss.reflectance)), " % (roughness ", hundredths(static_cast<double>(gloss.roughness)),

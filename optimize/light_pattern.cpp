@@ -38,7 +38,7 @@ PatternEffect effect_of(const LightSample& s) {
   return e;
 }
 
-Candidate candidate(bool shift, FalloffModel falloff, double exposure_sd, const LightPattern& already, const LightPatternOptions& options) {
+Candidate candidate(bool shift, FalloffModel falloff, const LightSpread& open, const LightPattern& already, const LightPatternOptions& options) {
   Candidate c{shift, falloff, {PatternVector::Zero(kUnknowns), PatternVector::Constant(kUnknowns, kNothing)}, {}};
   c.pattern.already.segment<3>(kShift) = already.flash_shift;
   c.pattern.already.segment<2>(kLens) = already.falloff.lens;
@@ -46,7 +46,7 @@ Candidate candidate(bool shift, FalloffModel falloff, double exposure_sd, const 
   if (shift) c.pattern.prior_sd.segment<3>(kShift).setConstant(options.shift_prior_sd);
   if (falloff == FalloffModel::kLens) c.pattern.prior_sd.segment<2>(kLens).setConstant(kFalloffSd);
   if (falloff == FalloffModel::kFlash) c.pattern.prior_sd.segment<4>(kFlash) = Eigen::Vector4d(kTiltSd, kTiltSd, kFalloffSd, kFalloffSd);
-  c.pattern.exposure_sd = exposure_sd;
+  c.pattern.open = open;
   return c;
 }
 
@@ -72,11 +72,11 @@ Falloff falloff_of(const Candidate& c) {
 using Candidates = std::vector<Candidate>;
 
 /// Without a shift and with one, for each model of the falloff in turn.
-Candidates fitted(const PatternResiduals& residuals, double exposure_sd, const LightPattern& already, const LightPatternOptions& options) {
+Candidates fitted(const PatternResiduals& residuals, const LightSpread& open, const LightPattern& already, const LightPatternOptions& options) {
   Candidates all;
   for (const FalloffModel falloff : models_of(options.falloff))
     for (const bool shift : {false, true}) {
-      all.push_back(candidate(shift, falloff, exposure_sd, already, options));
+      all.push_back(candidate(shift, falloff, open, already, options));
       all.back().fit = residuals.fit(all.back().pattern);
     }
   return all;
@@ -84,22 +84,38 @@ Candidates fitted(const PatternResiduals& residuals, double exposure_sd, const L
 
 bool better(const Candidate& a, const Candidate& b) { return a.criterion < b.criterion; }
 
-/// The candidates that hold: with photographs of one brightness, unless it very likely varies.
+/// What may be left open of the photographs' factors: what is known to vary, and beside it each kind that is not, or not.
+std::vector<LightSpread> ways_to_vary(const LightSpread& known) {
+  std::vector<LightSpread> ways{known};
+  for (std::size_t kind = 0; kind < kFactorKinds; ++kind)
+    for (std::size_t w = 0, n = ways.size(); known[kind] == 0 && w < n; ++w) {
+      ways.push_back(ways[w]);
+      ways.back()[kind] = kUsualSpread[kind];
+    }
+  return ways;
+}
+
+/// The candidates that hold: with photographs under one light, unless it very likely varies, by each kind.
 Candidates fitted(const PatternResiduals& residuals, const LightPattern& already, double independent, const LightPatternOptions& options) {
+  const std::vector<LightSpread> open = ways_to_vary(options.spread);
   std::vector<Candidates> ways;
-  if (options.exposure_spread > 0) {
-    ways.push_back(fitted(residuals, options.exposure_spread, already, options));
-  } else {
-    for (const double exposure_sd : {0.0, kUsualSpread}) ways.push_back(fitted(residuals, exposure_sd, already, options));
-  }
+  for (const LightSpread& spread : open) ways.push_back(fitted(residuals, spread, already, options));
   double scale = ways[0][0].fit.after;
   for (const Candidates& way : ways)
     for (const Candidate& c : way) scale = std::min(scale, c.fit.after);
   const double price = std::log(std::max(2.0, independent));
   for (Candidates& way : ways)
     for (Candidate& c : way) c.criterion = residuals.misfit(c.pattern, c.fit, scale) + c.fit.occam + price * c.unknowns();
-  const auto best = [](const Candidates& way) { return std::min_element(way.begin(), way.end(), better)->criterion; };
-  return ways.size() > 1 && best(ways[1]) < best(ways[0]) - kVeryStrong ? ways[1] : ways[0];
+  std::size_t best = 0;
+  double least = 0;
+  for (std::size_t w = 0; w < ways.size(); ++w) {
+    double criterion = std::min_element(ways[w].begin(), ways[w].end(), better)->criterion;
+    for (std::size_t kind = 0; kind < kFactorKinds; ++kind) criterion += open[w][kind] != options.spread[kind] ? kVeryStrong : 0;
+    if (w > 0 && !(criterion < least)) continue;
+    least = criterion;
+    best = w;
+  }
+  return ways[best];
 }
 
 /// Of fitted(), where the two candidates of the model of the falloff are that holds.

@@ -4,6 +4,7 @@
 
 #include "optimize/falloff.h"
 #include "optimize/light_solve.h"
+#include "optimize/light_spread.h"
 
 namespace chiaro::optimize {
 
@@ -18,7 +19,7 @@ struct LightPatternOptions {
   double shift_prior_sd = 0.03;   ///< project units (here 3 cm), of each coordinate: how well people measure it
   double farthest_shift = 0.06;   ///< nobody mistakes more
   FalloffModel falloff = FalloffModel::kAuto;
-  double exposure_spread = 0;     ///< of ln brightness of the photographs, as far as it is known to vary; 0: it may, and then by kUsualSpread (optimize/own_light.h)
+  LightSpread spread{};           ///< of the photographs' light, as far as it is known to vary; 0: it may, and then by kUsualSpread (optimize/own_light.h)
 };
 
 struct FoundPattern {
@@ -26,7 +27,7 @@ struct FoundPattern {
   Eigen::Matrix2d lights_covariance = Eigen::Matrix2d::Zero();   ///< of ln flash and ln ambient: what they owe to its uncertainty
 };
 
-/// What there is of them beyond doubt; the others nothing. Whether photographs differ in brightness by themselves (optimize/own_light.h) is left open where that may be, too. Needs LightSample::flash_by_shift, off_axis, flash_off_axis.
+/// What there is of them beyond doubt; the others nothing. Whether photographs differ in brightness or ambient light by themselves (optimize/own_light.h) is left open where that may be, too. Needs LightSample::flash_by_shift, off_axis, flash_off_axis.
 ///
 /// already      what the samples hold.
 /// independent  residuals that the samples count for (independent_residuals()).

@@ -151,9 +151,9 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
     const bool settled = outer > kBounceCheck && change < kOuterTolerance;
     const bool estranged = outer == kBounceCheck && leave_out_strangers(solution.lights);
     const bool near = outer > kBounceCheck && change < kSettled;
-    const bool decided = !try_gloss && !choose_sky, varied = exposure_spread_ > 0;
+    const bool decided = !try_gloss && !choose_sky, varied = varies();
     const bool evened = estranged || (near && even_out(start, solution, light_options, decided));
-    if (!varied && exposure_spread_ > 0 && (gloss_ || sky_.name() != sky.name())) {   // a coat or a richer sky may have stood for it
+    if (!varied && varies() && (gloss_ || sky_.name() != sky.name())) {   // a coat or a richer sky may have stood for it
       sky_ = sky;
       solution.lights = plainer(solution.lights);
       gloss_ = false;
@@ -195,7 +195,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
 /// Takes out what the photographs do not share, or what of their light the project does not say. What single photographs, the light's pattern or its model (decided) explain must not
 /// pass for a flash that is never the same: that comes last. Returns whether anything has changed.
 bool LightProblem::even_out(const Lights& start, const LightSolution& solution, const LightSolveOptions& options, bool decided) {
-  return (exposure_spread_ == 0 && find_own_light(start, solution, false)) || (pattern_rounds_ < kPatternRounds && find_pattern(solution, options)) || (decided && find_own_light(start, solution, true));
+  return find_own_light(start, solution, varies()) || (pattern_rounds_ < kPatternRounds && find_pattern(solution, options)) || (decided && find_own_light(start, solution, true));
 }
 
 /// Where the flash reaches nothing that is seen, its intensity says nothing about the scale: the ambient light starts from a guess that holds it.

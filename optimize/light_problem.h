@@ -34,8 +34,8 @@ class LightProblem {
   std::size_t num_references() const { return references_.size(); }
   /// Of the photographs of the input: factors on their ambient light, and of brightness that were taken out.
   const std::vector<OwnLight>& own_lights() const { return own_; }
-  /// By how much ln brightness varies over all of them.
-  double exposure_spread() const { return exposure_spread_; }
+  /// By how much they vary over all of them.
+  const LightSpread& light_spread() const { return spread_; }
   /// Of the photographs of the input: those that show something else than the others (optimize/strangers.h) and took no part.
   const std::vector<bool>& strangers_found() const { return strangers_; }
   /// How far the flash stands from where the project has it, and how light falls off over the pictures; nothing where photographs do not ask for it.
@@ -59,6 +59,7 @@ class LightProblem {
   bool even_out(const Lights& start, const LightSolution& solution, const LightSolveOptions& options, bool decided);
   std::optional<Vec3d> flash_of(std::size_t k) const;
   bool find_pattern(const LightSolution& solution, const LightSolveOptions& options);
+  void doubt_falloff();
   void apply_pattern(const LightPattern& pattern);
   LightSolveOptions current_options(const Lights& start) const;
   Viewpoint viewpoint(std::size_t k) const;
@@ -68,6 +69,7 @@ class LightProblem {
   bool choose_richer_sky(const Lights& start, LightSolution& solution);
   double ambient_open(const Lights& start, const LightSolution& solution);
   void check_bounces(const LightSolveOptions& options, LightSolution& solution);
+  bool varies() const { return spread_[kAmbient] > 0 || spread_[kExposure] > 0; }
   double ambient_scale(std::size_t k) const { return input_.photographs[k].ambient_scale * own_[k].ambient; }
   void add_sample(std::size_t k, const Observation& o, const std::vector<float>& g, std::size_t i, std::uint32_t group);
   Observation read(std::size_t k) const;
@@ -97,10 +99,10 @@ class LightProblem {
   std::optional<double> ambient_guess_;
   FoundPattern found_;
   std::vector<double> corner_sines_;   ///< of each photograph
-  double exposure_spread_ = 0;
+  LightSpread spread_{};
   int own_light_rounds_ = 0, pattern_rounds_ = 0, variation_rounds_ = 0;
   std::optional<double> gloss_evidence_;
-  bool gloss_ = false, use_pairs_ = false, own_light_settled_ = false, variation_settled_ = false, without_bounces_ = false, lit_ = true;
+  bool gloss_ = false, use_pairs_ = false, own_light_settled_ = false, variation_settled_ = false, without_bounces_ = false, lit_ = true, doubted_falloff_ = false;
 };
 
 /// The lights that a search starts from.

@@ -33,7 +33,7 @@ bool LightProblem::find_pattern(const LightSolution& solution, const LightSolveO
   pattern_options.shift_prior_sd = kPlaceSdMetres / metres;
   pattern_options.farthest_shift = kFarthestMetres / metres;
   pattern_options.falloff = input_.falloff;
-  pattern_options.exposure_spread = exposure_spread_;
+  pattern_options.spread = spread_;
   const LightPattern before = found_.pattern;
   const FoundPattern found = find_light_pattern(thinned(samples_, kTrialGroups), solution.lights, before, independent_residuals(samples_, options), pattern_options);
   const Falloff &was = before.falloff, &is = found.pattern.falloff;
@@ -45,6 +45,17 @@ bool LightProblem::find_pattern(const LightSolution& solution, const LightSolveO
   if (was.none() && !is.none()) forget_own_lights();   // they may have stood for a part of it
   apply_pattern(found.pattern);
   return true;
+}
+
+/// A falloff may have stood for light that varies: it is asked anew, once, beside what varies.
+void LightProblem::doubt_falloff() {
+  if (doubted_falloff_ || found_.pattern.falloff.none()) return;
+  doubted_falloff_ = true;
+  pattern_rounds_ = 0;
+  LightPattern without = found_.pattern;
+  without.falloff = Falloff();
+  without.falloff.flash_corner_sine = found_.pattern.falloff.flash_corner_sine;
+  apply_pattern(without);
 }
 
 /// Observations and targets as if the light were the model's. Shadows stay where they were cast.

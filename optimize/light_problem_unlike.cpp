@@ -40,7 +40,7 @@ void LightProblem::forget_own_lights() {
     own_[k] = {};
   }
   own_lights_covariance_.setZero();
-  exposure_spread_ = 0;
+  spread_ = {};
 }
 
 /// Gives photographs factors on their ambient light and brightness where that clearly explains them better, or corrects those. Returns whether any has changed.
@@ -55,8 +55,10 @@ bool LightProblem::find_own_light(const Lights& start, const LightSolution& solu
   options.max_iterations = kTrialIterations;
   OwnLightOptions own_options;
   own_options.may_vary = may_vary;
-  const OwnLights found = find_own_lights(thinned(samples_, kTrialGroups), current_references(), options, solution, own_, exposure_spread_, own_options);
-  exposure_spread_ = found.exposure_spread;
+  const OwnLights found = find_own_lights(thinned(samples_, kTrialGroups), current_references(), options, solution, own_, spread_, own_options);
+  const bool varied = varies();
+  spread_ = found.spread;
+  if (!varied && varies()) doubt_falloff();
   own_lights_covariance_ = found.lights_covariance;
   bool any = false;
   for (const std::size_t k : photographs_) {
@@ -64,6 +66,7 @@ bool LightProblem::find_own_light(const Lights& start, const LightSolution& solu
     own_[k].ambient_ln_sd = found.of[k].ambient_ln_sd;
     own_[k].exposure_ln_sd = found.of[k].exposure_ln_sd;
     own_[k].unlike = found.of[k].unlike;
+    own_[k].unlike_ambient = found.of[k].unlike_ambient;
     if (std::fabs(std::log(ambient)) < kSettled && std::fabs(std::log(exposure)) < kSettled) continue;
     any = true;
     settled = false;

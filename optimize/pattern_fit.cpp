@@ -8,7 +8,7 @@
 namespace chiaro::optimize {
 namespace {
 
-constexpr Eigen::Index kFixed = kMaxPatternUnknowns + 3;   // the pattern, the lights; then ln brightness of each photograph
+constexpr Eigen::Index kFixed = kMaxPatternUnknowns + 3;   // the pattern, the lights; then ln of the photographs' factors
 constexpr int kRounds = 8;
 constexpr double kLeastScale = 0.1;
 
@@ -44,7 +44,8 @@ bool PatternResiduals::row_of(const LightSample& s, const Lights& lights, const 
     const double direct = lights.flash_intensity * static_cast<double>(s.flash) / h, gathered = static_cast<double>(s.gathered[static_cast<std::size_t>(c)]) / h;
     row.effect.head(effect.of_flash.size()) -= (direct * effect.of_flash + effect.of_picture) / 3;
     row.effect.tail<kLights>() -= Vec3d(direct, std::max(0.0, 1 - direct - lights.bounce * gathered), gathered) / 3;
-    row.exposure -= (1 - lights.bounce * gathered) / 3;   // what is gathered is as bright as the photograph
+    row.own[kAmbient] -= std::max(0.0, 1 - direct - lights.bounce * gathered) / 3;
+    row.own[kExposure] -= (1 - lights.bounce * gathered) / 3;   // what is gathered is as bright as the photograph
   }
   row.weight = sample_weight(lights, s) * static_cast<double>(s.trust);
   return row.weight > 0;
@@ -62,21 +63,35 @@ void PatternResiduals::add_rows(std::vector<Row>& group) {
   for (Row& r : group) {
     r.residual -= residual / weight;
     r.effect -= effect / weight;
-    r.in_mean = r.weight * r.exposure / weight;
+    for (std::size_t kind = 0; kind < kFactorKinds; ++kind) r.in_mean[kind] = r.weight * r.own[kind] / weight;
   }
   rows_.insert(rows_.end(), group.begin(), group.end());
   begins_.push_back(rows_.size());
 }
 
-Eigen::Index PatternResiduals::unknowns(const Pattern& pattern) const { return kFixed + (pattern.exposure_sd > 0 ? static_cast<Eigen::Index>(photographs_) : 0); }
+PatternResiduals::Places PatternResiduals::places(const LightSpread& open) const {
+  Places p;
+  p.all = kFixed;
+  for (std::size_t kind = 0; kind < kFactorKinds; ++kind) {
+    if (!(open[kind] > 0)) continue;
+    p.first[kind] = p.all;
+    p.all += static_cast<Eigen::Index>(photographs_);
+  }
+  return p;
+}
 
-std::vector<double> PatternResiduals::residuals(const Eigen::VectorXd& x) const {
+std::vector<double> PatternResiduals::residuals(const Eigen::VectorXd& x, const Places& places) const {
   std::vector<double> now;
+  const auto by_factors = [&](const Row& r, const std::array<double, kFactorKinds>& effect) {
+    double sum = 0;
+    for (std::size_t kind = 0; kind < kFactorKinds; ++kind)
+      if (places.first[kind] > 0) sum += effect[kind] * x[places.first[kind] + r.photograph];
+    return sum;
+  };
   for (std::size_t g = 0; g < groups(); ++g) {
     double mean = 0;
-    if (x.size() > kFixed)
-      for (const Row& r : group(g)) mean += r.in_mean * x[kFixed + r.photograph];
-    for (const Row& r : group(g)) now.push_back(r.residual + r.effect.dot(x.head<kFixed>()) + (x.size() > kFixed ? r.exposure * x[kFixed + r.photograph] : 0.0) - mean);
+    for (const Row& r : group(g)) mean += by_factors(r, r.in_mean);
+    for (const Row& r : group(g)) now.push_back(r.residual + r.effect.dot(x.head<kFixed>()) + by_factors(r, r.own) - mean);
   }
   return now;
 }
@@ -89,8 +104,8 @@ double PatternResiduals::deviation(const std::vector<double>& residuals) const {
   return std::max(kLeastScale, 1.4826 * *mid);
 }
 
-/// Into the normal equations. On each row, brightness acts by its own photograph less the group's mean.
-void PatternResiduals::add_group(std::span<const Row> group, std::span<const double> weights, Eigen::MatrixXd& a, Eigen::VectorXd& b) {
+/// Into the normal equations. On each row, a factor acts by its own photograph less the group's mean.
+void PatternResiduals::add_group(std::span<const Row> group, std::span<const double> weights, const Places& places, Eigen::MatrixXd& a, Eigen::VectorXd& b) {
   double weight = 0, residual = 0;
   Effect effect = Effect::Zero();
   for (std::size_t r = 0; r < group.size(); ++r) {
@@ -101,21 +116,28 @@ void PatternResiduals::add_group(std::span<const Row> group, std::span<const dou
     residual += weights[r] * row.residual;
     effect += weights[r] * row.effect;
   }
-  if (b.size() == kFixed) return;
-  for (std::size_t s = 0; s < group.size(); ++s) {
-    const Row& own = group[s];
-    const Eigen::Index k = kFixed + own.photograph;
-    const double v = weights[s] * own.exposure;
-    a(k, k) += v * own.exposure;
-    a.col(k).head<kFixed>() += v * own.effect - own.in_mean * effect;
-    b[k] -= v * own.residual - own.in_mean * residual;
-    for (std::size_t t = 0; t < group.size(); ++t)
-      a(kFixed + group[t].photograph, k) += weight * own.in_mean * group[t].in_mean - v * group[t].in_mean - weights[t] * group[t].exposure * own.in_mean;
+  for (std::size_t kind = 0; kind < kFactorKinds; ++kind) {
+    if (places.first[kind] == 0) continue;
+    for (std::size_t s = 0; s < group.size(); ++s) {
+      const Row& own = group[s];
+      const Eigen::Index k = places.first[kind] + own.photograph;
+      const double v = weights[s] * own.own[kind], in_mean = own.in_mean[kind];
+      a.col(k).head<kFixed>() += v * own.effect - in_mean * effect;
+      b[k] -= v * own.residual - in_mean * residual;
+      for (std::size_t other = 0; other < kFactorKinds; ++other) {
+        const Eigen::Index first = places.first[other];
+        if (first == 0) continue;
+        a(first + own.photograph, k) += v * own.own[other];
+        for (std::size_t t = 0; t < group.size(); ++t)
+          a(first + group[t].photograph, k) += weight * in_mean * group[t].in_mean[other] - v * group[t].in_mean[other] - weights[t] * group[t].own[other] * in_mean;
+      }
+    }
   }
 }
 
 PatternFit PatternResiduals::fit(const Pattern& pattern) const {
-  const Eigen::Index n = pattern.size(), all = unknowns(pattern), open = all - kFixed;
+  const Places places = this->places(pattern.open);
+  const Eigen::Index n = pattern.size(), all = places.all, open = all - kFixed;
   PatternFit found;
   found.value = pattern.already;
   found.covariance = pattern.prior_sd.array().square().matrix().asDiagonal();
@@ -124,9 +146,10 @@ PatternFit PatternResiduals::fit(const Pattern& pattern) const {
   Eigen::VectorXd prior = Eigen::VectorXd::Ones(all), x = Eigen::VectorXd::Zero(all);   // what this pattern does not have stays 0
   prior.head(n) = pattern.prior_sd.array().square().inverse();
   prior.segment<kLights>(kMaxPatternUnknowns) = lights_sd(options_).array().square().inverse();
-  if (open > 0) prior.tail(open).setConstant(1 / (pattern.exposure_sd * pattern.exposure_sd));
+  for (std::size_t kind = 0; kind < kFactorKinds; ++kind)
+    if (places.first[kind] > 0) prior.segment(places.first[kind], static_cast<Eigen::Index>(photographs_)).setConstant(1 / (pattern.open[kind] * pattern.open[kind]));
   Eigen::MatrixXd information;
-  std::vector<double> now = residuals(x), weights(now.size());
+  std::vector<double> now = residuals(x, places), weights(now.size());
   found.before = deviation(now);
   for (int round = 0; round < kRounds; ++round) {
     const double scale = deviation(now), share = share_of(now.size(), independent_, scale);
@@ -134,15 +157,15 @@ PatternFit PatternResiduals::fit(const Pattern& pattern) const {
     Eigen::VectorXd b = Eigen::VectorXd::Zero(all);
     b.head(n) = -prior.head(n).cwiseProduct(pattern.already);
     for (std::size_t i = 0; i < now.size(); ++i) weights[i] = share * rows_[i].weight / (1 + rows_[i].weight * now[i] * now[i] / (kCauchy * kCauchy * scale * scale));
-    for (std::size_t g = 0; g < groups(); ++g) add_group(group(g), std::span(weights).subspan(begins_[g], group(g).size()), information, b);
+    for (std::size_t g = 0; g < groups(); ++g) add_group(group(g), std::span(weights).subspan(begins_[g], group(g).size()), places, information, b);
     information.bottomLeftCorner(open, kFixed) = information.topRightCorner(kFixed, open).transpose();
     x = information.llt().solve(b);
-    now = residuals(x);
+    now = residuals(x, places);
   }
   found.after = deviation(now);
   found.value = pattern.already + x.head(n);
   found.beside = x.tail(all - kMaxPatternUnknowns);
-  if (open > 0) found.occam = log_determinant(information) - log_determinant(information.topLeftCorner<kFixed, kFixed>()) - static_cast<double>(open) * std::log(prior[kFixed]);
+  if (open > 0) found.occam = log_determinant(information) - log_determinant(information.topLeftCorner<kFixed, kFixed>()) - prior.tail(open).array().log().sum();
   const Eigen::Matrix<double, kFixed, kFixed> covariance = information.llt().solve(Eigen::MatrixXd::Identity(all, kFixed)).topRows<kFixed>();
   found.covariance = covariance.topLeftCorner(n, n);
   const Eigen::Matrix<double, 2, Eigen::Dynamic, 0, 2, kMaxPatternUnknowns> with_pattern = covariance.block(kMaxPatternUnknowns, 0, 2, n);
@@ -151,15 +174,17 @@ PatternFit PatternResiduals::fit(const Pattern& pattern) const {
 }
 
 double PatternResiduals::misfit(const Pattern& pattern, const PatternFit& fit, double scale) const {
-  Eigen::VectorXd x = Eigen::VectorXd::Zero(unknowns(pattern));
+  const Places places = this->places(pattern.open);
+  Eigen::VectorXd x = Eigen::VectorXd::Zero(places.all);
   x.head(pattern.size()) = fit.value - pattern.already;
   x.tail(fit.beside.size()) = fit.beside;
   const double width = kCauchy * kCauchy * scale * scale;
   double sum = 0;
-  const std::vector<double> now = residuals(x);
+  const std::vector<double> now = residuals(x, places);
   for (std::size_t i = 0; i < now.size(); ++i) sum += width * std::log1p(rows_[i].weight * now[i] * now[i] / width);
   double priors = fit.beside.head<kLights>().cwiseQuotient(lights_sd(options_)).squaredNorm() + fit.value.cwiseQuotient(pattern.prior_sd).squaredNorm();
-  if (pattern.exposure_sd > 0) priors += fit.beside.tail(fit.beside.size() - kLights).squaredNorm() / (pattern.exposure_sd * pattern.exposure_sd);
+  for (std::size_t kind = 0; kind < kFactorKinds; ++kind)
+    if (places.first[kind] > 0) priors += x.segment(places.first[kind], static_cast<Eigen::Index>(photographs_)).squaredNorm() / (pattern.open[kind] * pattern.open[kind]);
   return share_of(now.size(), independent_, scale) * sum + priors;
 }
 

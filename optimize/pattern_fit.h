@@ -1,11 +1,13 @@
 /// Unknowns that show as a pattern in how photographs disagree: where the flash stands, how light falls off over the picture. Found beside the lights.
 #pragma once
 #include <Eigen/Dense>
+#include <array>
 #include <functional>
 #include <span>
 #include <vector>
 
 #include "optimize/light_solve.h"
+#include "optimize/light_spread.h"
 
 namespace chiaro::optimize {
 
@@ -22,7 +24,7 @@ struct PatternEffect {
 struct Pattern {
   PatternVector already;    ///< what the samples hold
   PatternVector prior_sd;   ///< of the whole, around 0
-  double exposure_sd = 0;   ///< not 0: the brightness of each photograph is left open beside them, ln of it by so much
+  LightSpread open{};       ///< not 0: factors of each photograph are left open beside them, ln of them by so much
   Eigen::Index size() const { return already.size(); }
 };
 
@@ -33,9 +35,9 @@ struct PatternFitOptions {
 struct PatternFit {
   PatternVector value;       ///< the whole, not what is to be added
   PatternMatrix covariance;
-  Eigen::VectorXd beside;    ///< steps of ln flash, ln ambient, bounce; then of ln brightness of photographs, where they are open
+  Eigen::VectorXd beside;    ///< steps of ln flash, ln ambient, bounce; then of ln of the photographs' factors, kind by kind, where they are open
   double before = 0, after = 0;   ///< robust deviation of the residuals, in expected ones, as the samples are and with the above
-  double occam = 0;          ///< -2 ln of what the openness of brightness takes off the evidence (Laplace)
+  double occam = 0;          ///< -2 ln of what the openness of factors takes off the evidence (Laplace)
   Eigen::Matrix2d lights_covariance = Eigen::Matrix2d::Zero();   ///< of ln flash and ln ambient: what they owe to the uncertainty of `value`
   /// Of `count` unknowns from `first` on being nothing.
   double chi2(Eigen::Index first, Eigen::Index count) const;
@@ -59,17 +61,22 @@ class PatternResiduals {
   struct Row {
     double residual = 0, weight = 0;
     Effect effect = Effect::Zero();      ///< of the pattern's unknowns, then of the lights
-    double exposure = 0, in_mean = 0;    ///< of ln brightness of its photograph: on the row itself, and of the group's mean on all its rows
+    std::array<double, kFactorKinds> own{}, in_mean{};   ///< of ln of its photograph's factors: on the row itself, and of the group's mean on all its rows
     std::uint32_t photograph = 0;
   };
   std::size_t groups() const { return begins_.size() - 1; }
   std::span<const Row> group(std::size_t g) const { return std::span(rows_).subspan(begins_[g], begins_[g + 1] - begins_[g]); }
   static bool row_of(const LightSample& sample, const Lights& lights, const PatternEffect& effect, Row& row);
   void add_rows(std::vector<Row>& group);
-  Eigen::Index unknowns(const Pattern& pattern) const;
-  std::vector<double> residuals(const Eigen::VectorXd& x) const;
+  /// Where the unknowns of the photographs' factors begin, of each kind; 0: they are not open. All unknowns.
+  struct Places {
+    std::array<Eigen::Index, kFactorKinds> first{};
+    Eigen::Index all = 0;
+  };
+  Places places(const LightSpread& open) const;
+  std::vector<double> residuals(const Eigen::VectorXd& x, const Places& places) const;
   double deviation(const std::vector<double>& residuals) const;
-  static void add_group(std::span<const Row> group, std::span<const double> weights, Eigen::MatrixXd& a, Eigen::VectorXd& b);
+  static void add_group(std::span<const Row> group, std::span<const double> weights, const Places& places, Eigen::MatrixXd& a, Eigen::VectorXd& b);
 
   double independent_;
   PatternFitOptions options_;

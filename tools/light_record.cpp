@@ -72,8 +72,8 @@ Json light_json(const optimize::AcquisitionResult& r) {
   Json errors = Json::array();
   for (const optimize::ErrorModel& e : r.errors) errors.push_back(error_json(e));
   Json own = Json::array();
-  for (const optimize::OwnLight& o : r.own_lights) own.push_back({o.ambient, o.exposure, o.ambient_ln_sd, o.exposure_ln_sd, o.unlike});
-  return {{"gloss_evidence", r.gloss_evidence ? Json(*r.gloss_evidence) : Json()}, {"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"own_lights", own}, {"exposure_spread", r.exposure_spread}, {"strangers", r.strangers}, {"flash_shift", list_of(r.pattern.flash_shift)}, {"falloff", falloff_json(r.pattern.falloff)}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
+  for (const optimize::OwnLight& o : r.own_lights) own.push_back({o.ambient, o.exposure, o.ambient_ln_sd, o.exposure_ln_sd, o.unlike, o.unlike_ambient});
+  return {{"gloss_evidence", r.gloss_evidence ? Json(*r.gloss_evidence) : Json()}, {"sky_evidence", evidence_json(r.sky_evidence)}, {"lights", lights}, {"errors", errors}, {"light_of_photograph", r.light_of_photograph}, {"own_lights", own}, {"exposure_spread", r.spread[optimize::kExposure]}, {"ambient_spread", r.spread[optimize::kAmbient]}, {"strangers", r.strangers}, {"flash_shift", list_of(r.pattern.flash_shift)}, {"falloff", falloff_json(r.pattern.falloff)}, {"proxy_surfels", r.proxy_surfels}, {"proxy_seen", r.proxy_seen}, {"back_share", r.back_share},
           {"outer_iterations", r.outer_iterations}, {"last_change", r.last_change}, {"sky_model", r.sky_model}, {"notes", r.notes}};
 }
 
@@ -107,8 +107,8 @@ optimize::AcquisitionResult lights_from_json(const Json& j) {
   for (const Json& e : j["sky_evidence"]) r.sky_evidence.push_back({e["model"].get<std::string>(), e["parameters"].get<int>(), e["criterion"].get<double>()});
   for (const Json& e : j["errors"]) r.errors.push_back({e["normal_rad"], e["registration_px"], e["other_light"], e["spread"], e["rest"], e["estimated"]});
   r.light_of_photograph = j["light_of_photograph"].get<std::vector<std::size_t>>();
-  for (const Json& o : j["own_lights"]) r.own_lights.push_back({o[0], o[1], o[2], o[3], o[4]});
-  r.exposure_spread = j["exposure_spread"];
+  for (const Json& o : j["own_lights"]) r.own_lights.push_back({o[0], o[1], o[2], o[3], o[4], o[5]});
+  r.spread = {j["ambient_spread"], j["exposure_spread"]};
   r.strangers = j["strangers"].get<std::vector<bool>>();
   read_list(j["flash_shift"], r.pattern.flash_shift);
   r.pattern.falloff = falloff_from_json(j["falloff"]);

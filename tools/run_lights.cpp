@@ -77,7 +77,8 @@ void describe_lights(const std::vector<Shoot>& shoots, const Shoot& shoot, Solve
     if (own.ambient != 1) a["ambient_factors"][p.input->key] = {{"factor", own.ambient}, {"sd", own.ambient * own.ambient_ln_sd}};
   }
   if (const Vec3d& shift = lights.pattern.flash_shift; !shift.isZero()) a["flash_shift_in_camera"] = {shift[0], shift[1], shift[2]};
-  if (lights.exposure_spread > 0) a["exposure_spread"] = lights.exposure_spread;
+  if (lights.spread[optimize::kExposure] > 0) a["exposure_spread"] = lights.spread[optimize::kExposure];
+  if (lights.spread[optimize::kAmbient] > 0) a["ambient_spread"] = lights.spread[optimize::kAmbient];
   if (!lights.pattern.falloff.none()) a["falloff"] = falloff_json(lights.pattern.falloff);
   a["how"] = how_found(shoots, shoot, method);
   const Acquisition& input = *shoot.acquisition;

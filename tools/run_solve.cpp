@@ -114,13 +114,16 @@ void add_light_inputs(Hasher& h, const optimize::AcquisitionInput& input, const 
 }
 
 void note_own_lights(RunContext& run, const std::string& acquisition, const std::vector<std::string>& names, const optimize::AcquisitionResult& lights) {
-  if (lights.exposure_spread > 0)
-    run.note_both(concat("acquisition \"", acquisition, "\": the brightness of its photographs varies by ", format_number(100 * lights.exposure_spread, 2), " % (standard deviation), as of a flash that is not always the same; this was taken out before the lights were solved"));
+  const auto note_spread = [&](double spread, const char* what, const char* as_of) {
+    if (spread > 0) run.note_both(concat("acquisition \"", acquisition, "\": ", what, " of its photographs varies by ", format_number(100 * spread, 2), " % (standard deviation), as ", as_of, "; corrected"));
+  };
+  note_spread(lights.spread[optimize::kExposure], "the brightness", "of a flash that is not always the same");
+  note_spread(lights.spread[optimize::kAmbient], "the ambient light", "daylight does under passing clouds");
   for (std::size_t k = 0; k < lights.own_lights.size(); ++k) {
     const optimize::OwnLight& own = lights.own_lights[k];
     if (own.unlike)
       run.note_both(concat(names[k], ": ", format_number(own.exposure, 3), " times as bright as the other photographs of its acquisition say; this was taken out before the lights were solved"));
-    if (own.ambient != 1) run.note_both(concat(names[k], ": ambient light ", format_number(own.ambient, 3), " times that of the others, corrected"));
+    if (own.unlike_ambient) run.note_both(concat(names[k], ": ambient light ", format_number(own.ambient, 3), " times that of the others, corrected"));
   }
 }
 

@@ -119,6 +119,17 @@ def ambient(scene, copy, times):
     scene_copy.write_exr(copy / "photos" / photo.name, picture * (1 + (times - 1) * part))
 
 
+def ambient_each(scene, copy, sd):
+    """Each photograph under more or less ambient light, as daylight under passing clouds: ln of the factor with that deviation, mean 0. Needs the shares of all photographs (tests/scenes writes them)."""
+    photos = photographs_of(scene)
+    ln = np.random.default_rng(SEED).normal(size=len(photos))
+    ln = sd * (ln - ln.mean()) / ln.std()
+    for photo, times in zip(photos, np.exp(ln)):
+        share = scene_copy.read_exr(scene / "truth" / (photo.stem + "_share.exr"))
+        part = share[..., 2:] / np.maximum(share.sum(-1, keepdims=True), 1e-6)
+        scene_copy.write_exr(copy / "photos" / photo.name, scene_copy.read_exr(photo) * (1 + (times - 1) * part))
+
+
 def overexposed(scene, copy, times):
     """The first photograph brighter by a factor, and clipped at the brightest value that it had: a file of floats does not say where white is."""
     photo = photographs_of(scene)[0]
@@ -208,6 +219,7 @@ ALL = {
     "read_noise": (read_noise, "times the read noise, declared", [3, 10], 1),
     "interval": (interval, "times the calibrated range", [1 / 1.2, 1 / 1.1, 1.1, 1.2], 1),
     "ambient": (ambient, "times the ambient light, first photograph", [1.5, 2], 1),
+    "ambient_each": (ambient_each, "rms of ln of the ambient light, each photograph its own", [0.15, 0.4], 0),
     "exposures": (exposures, "rms of ln, each photograph its own", [0.02, 0.05, 0.1], 0),
     "vignetting": (vignetting, "of the light lost in the corners", [0.15, 0.3], 0),
     "flash_pattern": (flash_pattern, "of the flash lost towards the corners", [0.2, 0.4], 0),

@@ -320,6 +320,20 @@ TEST_F(BadInput, AFlashThatIsNotAlwaysTheSameIsFollowed) {
   EXPECT_LE(error_of(s).absolute, 0.02);
 }
 
+TEST_F(BadInput, AmbientLightThatIsNotAlwaysTheSameIsFollowed) {
+  TinySceneOptions options;
+  options.photographs = 5;
+  options.ambient_factors = {1.5, 0.75, 1.25, 0.65, 1.1};
+  const TinyScene s = scene(options);
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("the ambient light of its photographs varies by"));
+  EXPECT_NEAR(lights().at("ambient_spread").get<double>(), 0.33, 0.12);
+  const auto factor = [&](const char* photograph) { return lights().at("ambient_factors").at(photograph).at("factor").get<double>(); };
+  EXPECT_NEAR(factor("photo_00") / factor("photo_03"), 1.5 / 0.65, 0.15);
+  EXPECT_LE(error_of(s).absolute, 0.02);
+}
+
 TEST_F(BadInput, AVignetteIsTakenOff) {
   TinySceneOptions options;
   options.photographs = 4;

@@ -158,7 +158,7 @@ TEST(LightPattern, IsFoundBesideAFlashThatIsNeverTheSame) {
   EXPECT_NEAR(lens_factor(found.falloff, {1, 0}), 0.7, 0.03);
   EXPECT_EQ(found.flash_shift.norm(), 0);
   LightPatternOptions options;
-  options.exposure_spread = 0.04;   // as it is known by then
+  options.spread[kExposure] = 0.04;   // as it is known by then
   EXPECT_NEAR(lens_factor(pattern_of(wrong, options).falloff, {1, 0}), 0.7, 0.03);
 }
 

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 
 #include "stream/base/parallel.h"
@@ -47,7 +48,7 @@ std::vector<LightSample> samples_of(const std::vector<OwnLight>& own, std::size_
   return samples;
 }
 
-OwnLights all_found_in(const std::vector<LightSample>& samples, const std::vector<OwnLight>& known, std::span<const ReferenceSample> references = {}, double known_spread = 0) {
+OwnLights all_found_in(const std::vector<LightSample>& samples, const std::vector<OwnLight>& known, std::span<const ReferenceSample> references = {}, const LightSpread& known_spread = {}) {
   LightSolveOptions options;
   options.flash_ln_mean = std::log(10.5);
   options.flash_ln_sd = 0.05;
@@ -128,7 +129,7 @@ TEST(OwnLight, AFlashThatIsNeverTheSameIsFollowed) {
   for (const double spread : {0.02, 0.08}) {
     const std::vector<OwnLight> expected = varying(spread);
     const OwnLights found = all_found_in(samples_of(expected), kAlike);
-    EXPECT_NEAR(found.exposure_spread, spread, 0.3 * spread);
+    EXPECT_NEAR(found.spread[kExposure], spread, 0.3 * spread);
     for (std::size_t k = 0; k < kPhotographs; ++k) {
       EXPECT_NEAR(beside_mean(found.of, k), beside_mean(expected, k), 0.003) << k;
       EXPECT_EQ(found.of[k].ambient, 1) << k;
@@ -145,7 +146,7 @@ TEST(OwnLight, OneIsUnlikeOthersThatVary) {
   const OwnLights found = all_found_in(samples_of(expected), kAlike);
   EXPECT_TRUE(found.of[3].unlike);
   EXPECT_NEAR(found.of[3].exposure, 1.6, 0.03);
-  EXPECT_LE(found.exposure_spread, 0.04);
+  EXPECT_LE(found.spread[kExposure], 0.04);
   EXPECT_NEAR(found.of[0].exposure / found.of[4].exposure, expected[0].exposure / expected[4].exposure, 0.01);
 }
 
@@ -153,7 +154,7 @@ TEST(OwnLight, WhetherOneOfThreeIsUnlikeOrAllVaryIsLeftOpenWhereItMayBeEither) {
   std::vector<OwnLight> expected(3);
   expected[1] = own(1, 0.93);
   const OwnLights found = all_found_in(samples_of(expected), std::vector<OwnLight>(3));
-  EXPECT_GT(found.exposure_spread, 0.02);
+  EXPECT_GT(found.spread[kExposure], 0.02);
   EXPECT_NEAR(found.of[1].exposure / found.of[0].exposure, 0.93, 0.01);
   EXPECT_GT(std::sqrt(found.lights_covariance(0, 0)), 0.01);
 }
@@ -162,9 +163,83 @@ TEST(OwnLight, WhatVariesIsFollowedFurther) {
   std::vector<LightSample> samples = samples_of(varying(0.05));
   const std::vector<OwnLight> before = varying(0.04);
   for (LightSample& s : samples) change_own_light(s, 1, before[s.photograph].exposure);
-  const OwnLights found = all_found_in(samples, before, {}, 0.04);
-  EXPECT_NEAR(found.exposure_spread, 0.05, 0.015);
+  const OwnLights found = all_found_in(samples, before, {}, {0, 0.04});
+  EXPECT_NEAR(found.spread[kExposure], 0.05, 0.015);
   for (std::size_t k = 0; k < kPhotographs; ++k) EXPECT_NEAR(beside_mean(found.of, k), beside_mean(varying(0.05), k), 0.003) << k;
+}
+
+constexpr std::array kScatter{-1.2, 0.9, 0.4, -0.6, 1.3, -0.8};   // mean 0, deviation .91
+
+/// Ambient light, and brightness, beside the means of all.
+void expect_beside_means(const std::vector<OwnLight>& found, const std::vector<OwnLight>& expected, double ambient_within, double exposure_within) {
+  double ambient = 0, exposure = 0;
+  for (std::size_t k = 0; k < found.size(); ++k) {
+    ambient += std::log(found[k].ambient / expected[k].ambient) / static_cast<double>(found.size());
+    exposure += std::log(found[k].exposure / expected[k].exposure) / static_cast<double>(found.size());
+  }
+  for (std::size_t k = 0; k < found.size(); ++k) {
+    EXPECT_NEAR(std::log(found[k].ambient / expected[k].ambient), ambient, ambient_within) << k;
+    EXPECT_NEAR(std::log(found[k].exposure / expected[k].exposure), exposure, exposure_within) << k;
+  }
+}
+
+TEST(OwnLight, AmbientLightThatIsNeverTheSameIsFollowed) {
+  for (const double spread : {0.1, 0.4}) {
+    std::vector<OwnLight> expected;
+    for (const double s : kScatter) expected.push_back(own(std::exp(spread * s)));
+    const OwnLights found = all_found_in(samples_of(expected), kAlike);
+    EXPECT_NEAR(found.spread[kAmbient], 0.91 * spread, 0.25 * spread);
+    EXPECT_EQ(found.spread[kExposure], 0);
+    expect_beside_means(found.of, expected, 0.02, 0);
+    for (const OwnLight& o : found.of) EXPECT_FALSE(o.unlike || o.unlike_ambient);
+    EXPECT_GT(found.lights_covariance(1, 1), 0.3 * spread * spread / kPhotographs * truth().sky[0] * truth().sky[0]) << "their mean is no better known than that";
+  }
+}
+
+TEST(OwnLight, FlashAndAmbientLightThatBothVaryAreToldApart) {
+  std::vector<OwnLight> expected;
+  for (std::size_t k = 0; k < kPhotographs; ++k) expected.push_back(own(std::exp(0.3 * kScatter[k]), std::exp(0.05 * kScatter[(k + 2) % kPhotographs])));
+  const OwnLights found = all_found_in(samples_of(expected), kAlike);
+  EXPECT_NEAR(found.spread[kAmbient], 0.27, 0.1);
+  EXPECT_NEAR(found.spread[kExposure], 0.046, 0.02);
+  expect_beside_means(found.of, expected, 0.03, 0.006);
+}
+
+TEST(OwnLight, ThatAmbientLightVariesTooIsSeenLater) {
+  std::vector<OwnLight> expected, before;
+  for (std::size_t k = 0; k < kPhotographs; ++k) {
+    expected.push_back(own(std::exp(0.3 * kScatter[k]), std::exp(0.05 * kScatter[(k + 2) % kPhotographs])));
+    before.push_back(own(1, std::exp(0.06 * kScatter[(k + 2) % kPhotographs])));
+  }
+  std::vector<LightSample> samples = samples_of(expected);
+  for (LightSample& s : samples) change_own_light(s, 1, before[s.photograph].exposure);
+  const OwnLights found = all_found_in(samples, before, {}, {0, 0.06});
+  EXPECT_NEAR(found.spread[kAmbient], 0.27, 0.1);
+  expect_beside_means(found.of, expected, 0.03, 0.006);
+}
+
+TEST(OwnLight, WhatDoesNotVaryOnceAnotherIsFollowedIsForgotten) {
+  std::vector<OwnLight> expected, before;
+  for (const double s : kScatter) {
+    expected.push_back(own(std::exp(0.3 * s)));
+    before.push_back(own(std::exp(0.25 * s), std::exp(0.02 * s)));
+  }
+  std::vector<LightSample> samples = samples_of(expected);
+  for (LightSample& s : samples) change_own_light(s, before[s.photograph].ambient, before[s.photograph].exposure);
+  const OwnLights found = all_found_in(samples, before, {}, {0.25, 0.02});
+  EXPECT_EQ(found.spread[kExposure], 0);
+  for (const OwnLight& o : found.of) EXPECT_EQ(o.exposure, 1);
+  expect_beside_means(found.of, expected, 0.03, 0);
+}
+
+TEST(OwnLight, OneAmbientLightIsUnlikeOthersThatVary) {
+  std::vector<OwnLight> expected;
+  for (const double s : kScatter) expected.push_back(own(std::exp(0.05 * s)));
+  expected[3] = own(4);
+  const OwnLights found = all_found_in(samples_of(expected), kAlike);
+  EXPECT_TRUE(found.of[3].unlike_ambient);
+  EXPECT_LE(found.spread[kAmbient], 0.15);
+  expect_beside_means(found.of, expected, 0.05, 0.02);
 }
 
 TEST(OwnLight, WhatRemainsOfAFactorIsCorrectedByHoweverLittle) {
@@ -172,7 +247,7 @@ TEST(OwnLight, WhatRemainsOfAFactorIsCorrectedByHoweverLittle) {
   for (LightSample& s : samples)
     if (s.photograph == 3) change_own_light(s, 1.5, 1.2);
   std::vector<OwnLight> known = all_but(3, own(1.5, 1.2));
-  known[3].unlike = true;
+  known[3].unlike = known[3].unlike_ambient = true;
   expect_near(found_in(samples, known), all_but(3, own(1.53, 1.22)), 0.02);
 }
 

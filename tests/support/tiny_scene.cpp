@@ -23,10 +23,11 @@ struct View {
   std::string name;
   Mat3d rotation;      // camera from world
   Vec3d eye;
+  double ambient = 1;  // factor
 };
 
 View look_from(const std::string& name, const Vec3d& eye) {
-  View v{name, Mat3d::Identity(), eye};
+  View v{name, Mat3d::Identity(), eye, 1};
   const Vec3d z = (-eye).normalized();
   const Vec3d x = z.cross(Vec3d(0, 0, 1)).normalized();
   v.rotation.row(0) = x;
@@ -42,6 +43,7 @@ std::vector<View> make_views(const TinySceneOptions& o) {
     std::ostringstream name;
     name << "photo_" << std::setw(2) << std::setfill('0') << i;
     views.push_back(look_from(name.str(), distance * Vec3d(std::cos(azimuth), std::sin(azimuth), up).normalized()));
+    if (static_cast<std::size_t>(i) < o.ambient_factors.size()) views.back().ambient = o.ambient_factors[static_cast<std::size_t>(i)];
   }
   return views;
 }
@@ -99,7 +101,7 @@ Rendered render(const TinySceneOptions& o, const View& view, const Vec3d& flash_
       ++hits;
       const Vec3d p = view.eye + *distance * direction, to_flash = flash - p;
       const double r2 = to_flash.squaredNorm(), cosine = std::max(0.0, p.dot(to_flash) / std::sqrt(r2));   // the unit sphere's normal is its position
-      const double irradiance = (o.flash ? o.flash_intensity : 0) * flash_sends(o, view.rotation * (p - flash)) * cosine / r2 + kPi * o.ambient_radiance;
+      const double irradiance = (o.flash ? o.flash_intensity : 0) * flash_sends(o, view.rotation * (p - flash)) * cosine / r2 + kPi * o.ambient_radiance * view.ambient;
       const std::array<double, 3> albedo = tiny_albedo(o, p);
       for (std::size_t c = 0; c < 3; ++c) sum[c] += albedo[c] / kPi * irradiance * lens_keeps(o, u, v);
     }

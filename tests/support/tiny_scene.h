@@ -25,6 +25,7 @@ struct TinySceneOptions {
   double focal_px = 110;
   double flash_intensity = 9;           ///< W/sr
   double ambient_radiance = 0.12;
+  std::vector<double> ambient_factors;  ///< on it, of each photograph; those without have 1
   std::array<double, 2> intensity_range{8.95, 9.05};   ///< narrow by default: then the absolute scale is known
   bool write_range = true;
   double lens_loss = 0, flash_loss = 0; ///< of the light in the pictures' corners: by the lens, as (1 + a r^2)^-2 of the distance from the middle; by the flash, as a Gaussian of the angle off its axis
