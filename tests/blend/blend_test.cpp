@@ -368,6 +368,18 @@ TEST(Blend, AStoppedBlendContinuesToTheSameBytes) {
   EXPECT_EQ(w.bytes(), expected);
 }
 
+TEST(Blend, MorePhotographsThanVotesCanNameAreRefused) {
+  const Workplace w(plane_scene());
+  MemoryBudget budget(kPlenty);
+  const std::vector<BlendPhotograph> photos(65537);
+  try {
+    blend(*w.store, photos, {}, w.folder.path() / "scratch", budget, silent_reporter());
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_NE(std::string(e.what()).find("65537 photographs, but 65536"), std::string::npos) << e.what();
+  }
+}
+
 TEST(Blend, APhotographThatSeesNothingAndTheSameOneTwiceAreLegal) {
   const Workplace w(plane_scene());
   const auto a = w.photograph("a", Vec3d(0.5, 0.5, 0.6), Vec3d(0.5, 0.5, 0)), away = w.photograph("away", Vec3d(0.5, 0.5, 1), Vec3d(0.5, 0.5, 9));
