@@ -110,20 +110,33 @@ class IndexRepairer {
         continue;
       }
       const std::size_t i = fix.at / kIndexRecordBytes;
-      if (!agrees(entries[i]) && !follows(entries, i)) continue;
+      if ((!agrees(entries[i]) && !follows(entries, i)) || is_contradicted(entries)) continue;
       if (answer) return std::nullopt;
       answer = std::move(entries);
     }
     return answer;
   }
 
+  // Damage of several bytes may look like that of one somewhere else. Then there is a chunk whose geometry is whole and whose bounds are not those of its record.
+  bool is_contradicted(const std::vector<ChunkEntry>& entries) const {
+    return std::any_of(entries.begin(), entries.end(), [&](const ChunkEntry& e) {
+      report_.check();
+      return checksum_at(geometry_, e.offset, geometry_bytes(e.count)) == e.geometry_crc && !has_bounds(e);
+    });
+  }
+
+  // Of its geometry, which is whole.
+  bool has_bounds(const ChunkEntry& e) const {
+    ChunkEntry same = e;
+    set_tight_bounds(same, read_blocks(geometry_, e));
+    return same.tight_min == e.tight_min && same.tight_max == e.tight_max;
+  }
+
   // Is the chunk what its record says, as far as the bytes on disk can tell?
   bool agrees(const ChunkEntry& e) const {
     if (checksum_at(geometry_, e.offset, geometry_bytes(e.count)) != e.geometry_crc) return false;
     if (e.is_leaf() && checksum_at(source_, e.source_offset, kSourceBytes * e.count) != e.source_crc) return false;
-    ChunkEntry same = e;
-    set_tight_bounds(same, read_blocks(geometry_, e));
-    return same.tight_min == e.tight_min && same.tight_max == e.tight_max;
+    return has_bounds(e);
   }
 
   // Is an inner node, whose own bytes may be damaged, what its children make?
