@@ -26,6 +26,15 @@ TEST(Accumulate, TwoPhotographsByHand) {
   EXPECT_NEAR(resolve(apart, 0).sigma, std::sqrt(0.0075f / 0.6f) / 0.55f, 1e-5f);
 }
 
+TEST(Accumulate, ThePowerOfOneAndAHalfByHand) {
+  Accumulator sum;   // weights 1 and 8 in the high band
+  add_sample(sum, sample(1, 0.5f, 0.1f, 0.02f), 1.5f);
+  add_sample(sum, sample(4, 0.5f, -0.1f, 0), 1.5f);
+  const BlendedSurfel s = resolve(sum, 0);
+  EXPECT_NEAR(s.albedo[2], 0.5f + (0.1f - 0.8f) / 9, 1e-6f);
+  EXPECT_NEAR(s.sigma, 0.02f / 5, 1e-6f);
+}
+
 TEST(Accumulate, ThreeBandsByHand) {
   Accumulator sum;
   std::array<MiddleSum, 1> middle{};

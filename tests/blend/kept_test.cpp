@@ -132,6 +132,31 @@ TEST_F(Kept, DisturbancesThatComeAndGoLeaveNothingBehind) {
   expect_same_as_from_the_beginning(photos);
 }
 
+TEST_F(Kept, AFactorThatChangesIsAppliedWhereTheNewPhotographSeesNothing) {
+  // Of two photographs each takes half of the step; with a third one like the second the first one takes all of it.
+  std::vector<BlendPhotograph> photos{at("a", 0.5), at("b", 0.8, gained(1.2f))};
+  const BlendStats before = keep(photos);
+  photos.push_back(at("c", 1.2, gained(1.2f)));
+  const BlendStats on = expect_same_as_from_the_beginning(photos);
+  EXPECT_GT(std::abs(on.photographs[0].gain[0] - before.photographs[0].gain[0]), 0.05);
+}
+
+TEST_F(Kept, AToleranceThatChangesJudgesAnewWhereTheNewPhotographsSeeNothing) {
+  const auto uneven = [](float share, float phase) {
+    ShotOptions options;
+    options.paint = [share, phase](int x, int, const Vec3f& a) -> Vec3f { return a * (1 + share * std::sin(0.15f * static_cast<float>(x) + phase)); };
+    return options;
+  };
+  std::vector<BlendPhotograph> photos{at("a", 0.5), at("b", 0.52), at("c", 0.54)};
+  ShotOptions patch;   // a little more than the least tolerance allows
+  patch.paint = [](int x, int, const Vec3f& a) -> Vec3f { return x > 60 && x < 100 ? Vec3f(1.05f * a) : a; };
+  photos.push_back(at("d", 0.5, patch));
+  const BlendStats before = keep(photos);
+  for (int k = 0; k < 4; ++k) photos.push_back(at("far" + std::to_string(k), 3.4, uneven(0.1f, 1.6f * static_cast<float>(k))));
+  const BlendStats on = expect_same_as_from_the_beginning(photos);
+  EXPECT_GT(on.tolerance.of_votes(), 1.5f * before.tolerance.of_votes());
+}
+
 TEST_F(Kept, OtherOptionsAndDamageBeginAnew) {
   const std::vector<BlendPhotograph> photos = along();
   keep(photos);
@@ -140,6 +165,14 @@ TEST_F(Kept, OtherOptionsAndDamageBeginAnew) {
   options.low_band_px = 6;
   EXPECT_EQ(w.run(photos, options).leaves_kept, 0u);
   keep(photos);
+  {
+    File state(w.folder.path() / "kept/state", File::Mode::kReadWrite);
+    unsigned char byte = 0;
+    state.read_at(state.size() - 100, &byte, 1);
+    byte ^= 4;
+    state.write_at(state.size() - 100, &byte, 1);   // in what is known of the last photograph
+  }
+  EXPECT_EQ(keep(photos).leaves_kept, 0u);
   std::filesystem::resize_file(w.folder.path() / "kept/state", 100);
   EXPECT_EQ(keep(photos).leaves_kept, 0u);
   std::filesystem::remove(w.folder.path() / "kept/votes");
