@@ -67,11 +67,11 @@ TEST(Agreement, EachGroupOfPhotographsKeepsItsOwnBrightness) {
 TEST(Agreement, FactorsWithinTheScatterAreLeftAlone) {
   const Agreement a = find_agreement(chain(factors({1, 1.01f, 1})), 3, Gain::kGrey);
   EXPECT_EQ(a.log_gain[1], Vec3f(Vec3f::Zero()));
-  // Half of the readings lie 10 % and more from the others: a factor of 8 % is within that, one of 30 % is not.
+  // Half of the readings lie 10 % and more from the others: a factor of 8 % is within that.
   std::vector<ReadingPair> wide = chain(factors({1, 1.08f, 1}));
-  for (std::size_t i = 0; i < wide.size(); ++i) wide[i].difference.array() += i % 2 == 0 ? 0.1f : -0.1f;
+  for (std::size_t i = 0; i < wide.size(); ++i) wide[i].difference.array() += 0.004f * (static_cast<float>(i * 37 % 101) - 50);   // evenly within 0.2
   const Agreement b = find_agreement(wide, 3, Gain::kGrey);
-  EXPECT_NEAR(b.scatter, 0.1f, 0.01f);
+  EXPECT_NEAR(b.scatter, 0.1f, 0.02f);
   EXPECT_EQ(b.log_gain[1], Vec3f(Vec3f::Zero()));
 }
 

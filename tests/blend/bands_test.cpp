@@ -155,6 +155,21 @@ TEST(ViewWeights, RampsStartAtZeroAndEndAtOneWithoutAStep) {
   }
 }
 
+TEST(ViewWeights, EachCriterionByHand) {
+  EXPECT_FLOAT_EQ(smooth_ramp(1, 4), 5.0f / 32);
+  EXPECT_FLOAT_EQ(angle_weight(1), 1);
+  EXPECT_FLOAT_EQ(angle_weight(0.5f), 0.25f);        // pixels that cover more by the square of the cosine
+  EXPECT_FLOAT_EQ(sigma_weight(0.02f), 0.5f);        // 1 / variance, and as much again from other errors
+  EXPECT_FLOAT_EQ(sigma_weight(0.06f), 0.1f);
+  EXPECT_FLOAT_EQ(incidence_weight(0.1f), 0.5f);
+  EXPECT_FLOAT_EQ(incidence_weight(0.3f), 0.1f);
+  EXPECT_EQ(edge_weight(1, 12), 0);                  // pixels that mix two surfaces
+  EXPECT_FLOAT_EQ(edge_weight(4, 12), 5.0f / 32);
+  EXPECT_FLOAT_EQ(mask_weight(3, 12), 5.0f / 32);
+  EXPECT_FLOAT_EQ(saturation_ramp_px(12), 3);
+  EXPECT_FLOAT_EQ(saturation_ramp_px(4), 2);
+}
+
 TEST(ViewWeights, EachCriterionPrefersTheBetterPixelAndSurvivesBadInput) {
   EXPECT_GT(angle_weight(0.9f), angle_weight(0.5f));
   EXPECT_EQ(angle_weight(0.15f), 0);

@@ -158,6 +158,28 @@ TEST(Inspect, WhereClustersAreEverywhereTheLargestOneIsChance) {
   EXPECT_TRUE(conclude(counts).disturbed);
 }
 
+TEST(Inspect, WhatIsDisturbedLiesInThePictureAndIsMoreThanAFewPoints) {
+  const auto outvoted = [](std::uint32_t judged, std::uint32_t against) {
+    InspectionCounts counts(130, 100);   // cells of 12: the last ones are cut off
+    std::fill(counts.judged.begin(), counts.judged.end(), judged);
+    for (int v = counts.cells_y - 3; v < counts.cells_y; ++v)
+      for (int u = counts.cells_x - 3; u < counts.cells_x; ++u) counts.outvoted[static_cast<std::size_t>(v * counts.cells_x + u)] = against;
+    return conclude(counts).disturbed;
+  };
+  ASSERT_TRUE(outvoted(20, 15));
+  EXPECT_EQ(outvoted(20, 15)->x1, 130);
+  EXPECT_EQ(outvoted(20, 15)->y1, 100);
+  EXPECT_EQ(outvoted(20, 15)->x0, 96);
+  EXPECT_EQ(outvoted(20, 15)->outvoted, 135u);
+  EXPECT_FALSE(outvoted(20, 10)) << "half of them is not most of them";
+  EXPECT_FALSE(outvoted(7, 7)) << "too few are judged in each cell";
+  InspectionCounts large(640, 480);
+  std::fill(large.judged.begin(), large.judged.end(), 300u);
+  for (const int v : {5, 6})
+    for (int u = 5; u < 9; ++u) large.outvoted[static_cast<std::size_t>(v * large.cells_x + u)] = 155;
+  EXPECT_FALSE(conclude(large).disturbed) << "of 650 000 readings 1240 are a few behind a corner";
+}
+
 TEST(Inspect, WhatIsDoneAboutAShift) {
   Inspection i;
   EXPECT_EQ(alignment_for(i).trust, 1);
