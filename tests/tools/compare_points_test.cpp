@@ -263,17 +263,19 @@ TEST(DifferencePicture, TheNearerPointHidesTheOneBehindFarFromTheOriginToo) {
   box.extend(utm);
   box.extend(utm + Vec3d(10, 10, 10));
   DifferencePicture picture(box, 100000000, 0.1);
-  picture.add(utm + Vec3d(5, 5, 5), 1);      // as in the test above, but 20 cm apart
-  picture.add(utm + Vec3d(5, 5.2, 5), -1);
+  for (int i = 0; i < 9; ++i) {   // as in the test above, but 20 cm apart
+    picture.add(utm + Vec3d(1 + i, 5.2 + 0.13 * i, 5), -1);
+    picture.add(utm + Vec3d(1 + i, 5 + 0.13 * i, 5), 1);
+  }
   const Colour red = DifferencePicture::colour(1, 0.1), blue = DifferencePicture::colour(-1, 0.1);
   int reds = 0, blues = 0;
-  for (int y = 0; y < picture.height() - 30; ++y)
-    for (int x = 0; x < picture.width() / 4; ++x) {   // the front is the first view
+  for (int y = 0; y < picture.height() / 2 - 15; ++y)   // the front is the first view; top and bottom stand below
+    for (int x = 0; x < picture.width() / 4; ++x) {
       reds += picture.pixel(x, y) == red;
       blues += picture.pixel(x, y) == blue;
     }
-  EXPECT_EQ(reds, 2);   // and the top or bottom below it, where both are beside each other
-  EXPECT_EQ(blues, 1);
+  EXPECT_EQ(reds, 9);
+  EXPECT_EQ(blues, 0);
 }
 
 TEST(DifferencePicture, PointsAreAsLargeAsTheirSpacing) {
