@@ -99,6 +99,38 @@ TEST(Blend, FurtherBandsHaveWeightsOfTheirOwn) {
   EXPECT_GT(apart, 1e-4);   // bands are blended by weights of their own
 }
 
+TEST(Blend, AFactorIsAppliedToAllBands) {
+  const Workplace w(plane_scene());
+  // The one that is off is nearer: it counts more the higher the band.
+  const auto at = [&](const std::string& name, const Vec3d& eye, float gain) { return w.photograph(name, eye, Vec3d(0.5, 0.5, 0), gained(gain)); };
+  const std::vector<BlendPhotograph> photos{at("a", Vec3d(0.4, 0.5, 0.8), 1), at("b", Vec3d(0.5, 0.5, 0.8), 1), at("c", Vec3d(0.5, 0.5, 0.6), 1.3f)};
+  for (const int bands : {2, 3, 4}) {
+    BlendOptions options;
+    options.bands = bands;
+    options.high_band_power = 4;
+    const BlendStats stats = w.run(photos, options);
+    EXPECT_NEAR(stats.photographs[2].gain[0], 1 / 1.3, 0.005) << bands;
+    double error = 0, seen = 0;
+    for (const Seen& s : w.result())
+      if (s.photos == 3) error += static_cast<double>((s.albedo.cwiseQuotient(smooth_paint(s.position)).array() - 1).abs().maxCoeff()), ++seen;
+    EXPECT_GT(seen, 2000) << bands;
+    EXPECT_LT(error / seen, 0.005) << bands;
+  }
+}
+
+TEST(Blend, WhatIsTrustedLessCountsLess) {
+  const Workplace w(plane_scene());
+  const auto shot = [&](const std::string& name, float gain) { return w.photograph(name, Vec3d(0.5, 0.5, 0.8), Vec3d(0.5, 0.5, 0), gained(gain)); };
+  BlendOptions options;
+  options.reject = false;
+  options.known = Findings{{{1, 1, 1}, {1, 1, 1}}, {Alignment{}, Alignment{Vec2f::Zero(), 0.25f}}, 0.01, {}};
+  w.run({shot("a", 1), shot("b", 1.5f)}, options);
+  double factor = 0, seen = 0;
+  for (const Seen& s : w.result())
+    if (s.photos == 2) factor += static_cast<double>(s.albedo.cwiseQuotient(smooth_paint(s.position)).mean()), ++seen;
+  EXPECT_NEAR(factor / seen, (1 + 0.25 * 1.5) / 1.25, 0.002);
+}
+
 TEST(Blend, ThreeBandsHaveTheSameBytesForAnyBudgetAndAfterStops) {
   const Workplace w(painted_plane());
   const std::vector<BlendPhotograph> photos{w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.3, 0.5, 0)), w.photograph("b", Vec3d(0.7, 0.4, 0.5), Vec3d(0.7, 0.5, 0), gained(1.1f)),

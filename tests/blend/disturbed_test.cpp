@@ -128,6 +128,23 @@ TEST_F(Disturbed, APhotographBesideItsPlaceIsReadWhereItShowsTheSurface) {
   EXPECT_GT(error(w.result()), 1.5 * before);
 }
 
+TEST_F(Disturbed, APhotographBesideItsPlaceHasTheSameBytesInBands) {
+  // Rows that a band of the picture has to hold beside those of its surfels.
+  std::vector<BlendPhotograph> photos = photographs();
+  stream::Camera moved = camera(1);
+  moved.photograph = "moved";
+  moved.lens.cy += 3;
+  photos[1].albedo = shoot(w.scene, moved, w.folder.path()).albedo;
+  const BlendStats stats = w.run(photos);
+  const auto expected = w.bytes();
+  ASSERT_NEAR((stats.photographs[1].alignment.shift_px - Vec2f(0, 3)).norm(), 0, 0.1f);
+  const BlendStats small = w.run(photos, {}, 2400 << 10);
+  EXPECT_GT(small.chunks_visited, stats.chunks_visited);
+  EXPECT_EQ(small.photographs[1].inspection.shift_px, stats.photographs[1].inspection.shift_px);
+  EXPECT_EQ(small.photographs[1].inspection.shift_readings, stats.photographs[1].inspection.shift_readings);
+  EXPECT_EQ(w.bytes(), expected);
+}
+
 TEST_F(Disturbed, HasTheSameBytesForAnyBudgetAndOrder) {
   ShotOptions shot = gained(1.2f);
   shot.paint = [](int x, int y, const Vec3f& albedo) { return in_disc(x, y) ? Vec3f(0.15f, 0.5f, 0.2f) : albedo; };

@@ -169,6 +169,16 @@ TEST_F(Refine, FactorsAndPlacesAreTakenFromTheCloudsBlend) {
     if (s.photos == 4) error += static_cast<double>(std::abs(s.albedo[0] - w.scene.albedo(s.position)[0])), ++seen;
   EXPECT_GT(seen, 5000);
   EXPECT_LT(error / seen, 0.012);
+  // They belong to their photographs, in whatever order these come.
+  options.known->alignment[3] = {Vec2f(0.5f, 0), 0.5f};
+  w.run(photos, options);
+  const auto in_order = w.bytes();
+  BlendOptions backwards = options;
+  std::reverse(backwards.known->gain.begin(), backwards.known->gain.end());
+  std::reverse(backwards.known->alignment.begin(), backwards.known->alignment.end());
+  w.run({photos.rbegin(), photos.rend()}, backwards);
+  EXPECT_EQ(w.bytes(), in_order);
+  options.known->alignment[3] = {};
   // And what is said there is believed, also where it is wrong.
   options.known->gain[0] = options.known->gain[1] = options.known->gain[2] = {2, 2, 2};
   options.known->gain[3] = {2 / 1.5, 2 / 1.5, 2 / 1.5};
