@@ -267,6 +267,19 @@ TEST_F(ExportPoints, ADiskThatIsTooSmallIsMetBeforeAnythingIsWritten) {
   EXPECT_EQ(run(store, options).points, store.manifest().points_stored);
 }
 
+TEST_F(ExportPoints, NeverWritesOverASourceFile) {
+  const stream::Store store = build();
+  write_layer(store);
+  const std::string before = read_text(cloud);
+  ExportOptions options = to("cloud.ply");
+  EXPECT_THROW(run(store, options), Error);
+  std::filesystem::rename(cloud, folder.path() / "now_here.ply");
+  options.file = folder.path() / "store.chiaro/../now_here.ply";
+  options.sources = {folder.path() / "now_here.ply"};
+  EXPECT_THROW(run(store, options), Error);
+  EXPECT_EQ(read_text(folder.path() / "now_here.ply"), before);
+}
+
 TEST_F(ExportPoints, FillGivesUnseenPointsTheirNeighboursAlbedoAndKeepsThemMarked) {
   const stream::Store store = build();
   write_layer(store);

@@ -152,6 +152,15 @@ TEST_F(ComparePointsTest, RefusesWhatCannotBeCompared) {
   EXPECT_FALSE(fs::exists(scratch_.path() / "diff.obj"));
 }
 
+TEST_F(ComparePointsTest, NeverWritesOverWhatIsCompared) {
+  const std::string a = albedo_ply("a.ply", {{0.5f, 0.5f, 0.5f}}), b = albedo_ply("b.ply", {{0.4f, 0.5f, 0.8f}});
+  const std::string before = read_text(a);
+  fs::create_directory(scratch_.path() / "sub");
+  EXPECT_THAT(complaint(a, b, scratch_.path() / "sub/../a.ply"), HasSubstr("is what is compared"));
+  EXPECT_THAT(complaint(b, a, a), HasSubstr("is what is compared"));
+  EXPECT_EQ(read_text(a), before);
+}
+
 /// A small store with the layers that a run leaves.
 class CompareLayersTest : public ComparePointsTest {
  protected:
@@ -310,6 +319,7 @@ TEST(DifferencePicture, FlatAndTinyCloudsHaveAPicture) {
 TEST(NamesPoints, TellsPicturesFromPoints) {
   EXPECT_TRUE(names_points("a.PLY"));
   EXPECT_TRUE(names_points("truth/albedo.npy"));
+  for (const char* cloud : {"a.laz", "a.e57", "a.ptx", "a.xyzrgb", "a.xyzn"}) EXPECT_TRUE(names_points(cloud)) << cloud;
   EXPECT_TRUE(names_points("x.out:albedo"));
   EXPECT_FALSE(names_points("a.exr"));
   EXPECT_FALSE(names_points("a:"));
