@@ -69,6 +69,8 @@ TEST_F(Disturbed, ExposureIsTakenOut) {
   EXPECT_LT(error(w.result()), kMostWorse * before);
   EXPECT_NEAR(stats.photographs[1].gain[0], 1 / 1.3, 1e-3);
   EXPECT_EQ(stats.photographs[0].gain[0], 1);
+  EXPECT_FALSE(stats.photographs[1].inspection.disturbed);   // with its factor it shows what the others show
+  EXPECT_LT(stats.photographs[1].rejected, kAtBorders);
   BlendOptions without;
   without.gain = Gain::kNone;
   without.reject = false;

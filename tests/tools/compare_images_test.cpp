@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <fstream>
+#include <limits>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
@@ -112,6 +113,10 @@ TEST_F(CompareImagesTest, TakesWhatIsBeyondWhiteAsWhiteIfAsked) {
   EXPECT_EQ(compare_images(a, b, options).mse, 0.25);
   EXPECT_EQ(compare_images(a, b, {}).mse, 2.25);
   EXPECT_TRUE(std::isnan(compare_images(a, exr("nan.exr", 12, 12, std::nanf("")), options).mse));
+  const ImageComparison glaring = compare_images(a, exr("inf.exr", 12, 12, std::numeric_limits<float>::infinity()), options);
+  EXPECT_EQ(glaring.mse, 0);
+  EXPECT_EQ(glaring.not_finite, 0u);   // what is said of the measures holds for what was measured
+  EXPECT_EQ(compare_images(a, (scratch_.path() / "inf.exr").string(), {}).not_finite, 144u);
 }
 
 TEST_F(CompareImagesTest, CountsOnlyMaskedPixels) {
