@@ -69,6 +69,13 @@ TEST(Accumulate, ContradictionShowsInSigma) {
   EXPECT_TRUE(std::isfinite(resolve(dark, 0).sigma));
 }
 
+TEST(Accumulate, ExactReadingsThatDifferAreUncertainButHaveNoNoise) {
+  Accumulator sum;
+  for (const float value : {0.4f, 0.6f}) add_sample(sum, sample(1, value, 0, 0), 2);
+  EXPECT_NEAR(resolve(sum, 0).sigma, 0.2f, 1e-5f);
+  EXPECT_EQ(resolve(sum, 0).own_sigma, 0);   // nothing for denoising to take away
+}
+
 TEST(Accumulate, WhatPhotographsHaveInCommonDoesNotAverageOut) {
   Accumulator sum;
   for (int k = 0; k < 100; ++k) {

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstring>
 #include <fstream>
+#include <set>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
@@ -16,6 +17,7 @@
 #include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
 #include "tools/export_rows.h"
+#include "tools/inserted_points.h"
 
 namespace chiaro::tools {
 namespace {
@@ -150,8 +152,8 @@ class ExportPoints : public ::testing::Test {
     write_ply(cloud, points);
     return build({cloud});
   }
-  static void write_layer(const stream::Store& store) {
-    stream::LayerWriter writer(store, "albedo", stream::albedo_fields(), "{}");
+  static void write_layer(const stream::Store& store, const std::string& provenance = "{}") {
+    stream::LayerWriter writer(store, "albedo", stream::albedo_fields(), provenance);
     for (const std::uint32_t leaf : store.leaves()) {
       const stream::Chunk chunk = store.read_chunk(leaf);
       const auto sources = store.read_sources(leaf);
@@ -534,6 +536,56 @@ TEST_F(ExportPoints, ScansThatWereAlignedAreWrittenWhereTheyAreStored) {
     ++row;
   }
   EXPECT_EQ(row, stats.points);
+}
+
+TEST_F(ExportPoints, InsertedPointsFollowWhereAPhotographSeesThem) {
+  const stream::Store store = build();
+  write_layer(store, R"({"key": "this run"})");
+  std::vector<InputPoint> more = input_points(2);
+  more.resize(300);
+  for (InputPoint& p : more) p.z += 3e6;   // far beyond the bounds of the cloud: they count in those of the file
+  write_ply(folder.path() / "more.ply", more);
+  const std::filesystem::path place = inserted_path(store.path(), "albedo");
+  std::filesystem::create_directories(place.parent_path());
+  MemoryBudget budget(kPlenty);
+  stream::build_store({folder.path() / "more.ply"}, place, {}, budget, silent_reporter());
+  write_layer(stream::Store(place), R"({"of": "this run"})");
+  std::multiset<double> wanted;
+  for (const InputPoint& p : more)
+    if (seen(Vec3d(p.x, p.y, p.z)) && !std::isnan(p.x)) wanted.insert(p.y);
+  ASSERT_GT(wanted.size(), 100u);
+  ASSERT_LT(wanted.size(), 250u);
+
+  const ExportStats stats = run(store, to("with.ply"));
+  EXPECT_EQ(stats.points_inserted, wanted.size());
+  EXPECT_EQ(stats.points, store.manifest().points_stored + wanted.size());
+  const PlyFile ply = read_ply(folder.path() / "with.ply");
+  ASSERT_EQ(ply.rows.size(), stats.points);
+  std::multiset<double> found;
+  for (std::size_t i = 0; i < ply.rows.size(); ++i) {
+    ASSERT_EQ(ply.at(i, "inserted"), i < store.manifest().points_stored ? 0 : 1);
+    if (i < store.manifest().points_stored) continue;
+    ASSERT_GT(ply.at(i, "photos"), 0);
+    ASSERT_TRUE(std::isnan(ply.at(i, "quality")));
+    ASSERT_EQ(ply.at(i, "scan"), 0);
+    found.insert(ply.at(i, "y"));
+  }
+  ASSERT_EQ(found.size(), wanted.size());
+  for (auto a = found.begin(), b = wanted.begin(); a != found.end(); ++a, ++b) ASSERT_NEAR(*a, *b, 1e-4);
+
+  run(store, to("with.las"));
+  const auto reader = stream::open_points(folder.path() / "with.las");
+  stream::PointBlock block;
+  std::size_t high = 0;
+  while (reader->read(block, 1000))
+    for (const Vec3d& p : block.position) {
+      ASSERT_NEAR(p.x(), 500000.5, 0.6);
+      high += std::abs(p.z() - 3e6) < 0.1;
+    }
+  EXPECT_EQ(high, wanted.size());
+  // Of another run they are nobody's.
+  write_layer(stream::Store(place), R"({"of": "another run"})");
+  EXPECT_EQ(run(store, to("without.ply")).points_inserted, 0u);
 }
 
 TEST(RowPacker, WhatAnInsertedPointDoesNotCarryIsNoNumberOrZero) {
