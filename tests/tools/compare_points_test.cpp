@@ -161,6 +161,22 @@ TEST_F(ComparePointsTest, NeverWritesOverWhatIsCompared) {
   EXPECT_EQ(read_text(a), before);
 }
 
+TEST_F(ComparePointsTest, PointsStayInStepWhateverTheBlocks) {
+  // A point that a run has inserted stands first in one of the files: its blocks begin and end elsewhere.
+  constexpr int kCount = 140000;   // more than two blocks
+  const auto write = [&](const std::string& name, bool inserted) {
+    std::ofstream out(scratch_.path() / name);
+    out << "ply\nformat ascii 1.0\nelement vertex " << kCount + inserted << "\nproperty float x\nproperty float y\nproperty float z\nproperty float albedo_r\nproperty float albedo_g\nproperty float albedo_b\n"
+        << "property uchar inserted\nend_header\n";
+    if (inserted) out << "0 0 0 9 9 9 1\n";
+    for (int i = 0; i < kCount; ++i) out << "0 0 0 " << i + 1 << " 1 1 0\n";
+    return (scratch_.path() / name).string();
+  };
+  const PointComparison r = compare_points(write("a.ply", true), write("b.ply", false), {}, silent_reporter());
+  EXPECT_EQ(r.points, static_cast<std::uint64_t>(kCount));
+  EXPECT_EQ(r.difference.max, 0);
+}
+
 /// A small store with the layers that a run leaves.
 class CompareLayersTest : public ComparePointsTest {
  protected:

@@ -39,6 +39,9 @@ TEST(PowerCut, ABuildNotesAPhaseOnceItsFilesAreOnTheDisk) {
     if (to.filename() != "journal.json") return;
     ++journals;
     EXPECT_EQ(not_synced(*watch, part), std::set<std::string>{}) << "journal " << journals;
+    // What the phase before goes on from is there until this one is noted.
+    EXPECT_EQ(fs::exists(part / "spill.bin"), journals <= 2) << "journal " << journals;
+    EXPECT_TRUE(fs::exists(part / "colour.bin") || journals == 1) << "journal " << journals;
   });
   watch = &watching;
   BuildOptions options;
