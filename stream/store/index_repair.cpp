@@ -31,12 +31,11 @@ File open_or_nothing(const fs::path& path) {
 
 class IndexRepairer {
  public:
-  IndexRepairer(const fs::path& store, const std::optional<Manifest>& manifest, MemoryBudget& budget, Reporter& report)
+  IndexRepairer(const fs::path& store, const std::optional<Manifest>& manifest, Reporter& report)
       : path_(index_path(store)), manifest_(manifest), report_(report), geometry_(open_or_nothing(geometry_path(store))), source_(open_or_nothing(source_path(store))) {
     const File file(path_, File::Mode::kRead);
     const std::uint64_t size = file.size();
     if (size < sizeof(IndexHeader)) fail(concat(size, " bytes are left of it"));
-    lease_ = BudgetLease(budget, 3 * size, "index");
     bytes_.resize(size);
     file.read_at(0, bytes_.data(), size);
   }
@@ -267,7 +266,6 @@ class IndexRepairer {
   const std::optional<Manifest>& manifest_;
   Reporter& report_;
   File geometry_, source_;
-  BudgetLease lease_;
   std::vector<std::byte> bytes_;
   std::span<const std::byte> records_;
   bool header_is_whole_ = false;
@@ -278,8 +276,8 @@ class IndexRepairer {
 
 }  // namespace
 
-RepairedIndex repaired_index(const fs::path& store, const std::optional<Manifest>& manifest, MemoryBudget& budget, Reporter& report) {
-  return IndexRepairer(store, manifest, budget, report).run();
+RepairedIndex repaired_index(const fs::path& store, const std::optional<Manifest>& manifest, Reporter& report) {
+  return IndexRepairer(store, manifest, report).run();
 }
 
 void set_tight_bounds(ChunkEntry& e, const std::vector<SurfelBlock>& blocks) {

@@ -432,6 +432,19 @@ TEST_F(Repair, RandomDamageNeverCrashesAndNeverMakesItWorse) {
   }
 }
 
+TEST_F(Repair, TooLittleMemoryIsNoLoss) {
+  overwrite(path_ / "index.bin", flipped(whole_["index.bin"], 40));
+  MemoryBudget budget(100);
+  try {
+    repair_store(path_, budget, silent_reporter());
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_THAT(e.what(), HasSubstr("memory budget"));
+  }
+  EXPECT_EQ(budget.used_bytes(), 0u);
+  expect_as_before("with enough");
+}
+
 TEST_F(Repair, GivesTheSameBytesForAnyNumberOfThreads) {
   const std::string bytes = zeroed(whole_["geometry.bin"], entries_[0].offset, 100);
   for (const int threads : {1, 8}) {
