@@ -21,6 +21,7 @@
 #include "blend/second_look.h"
 #include "blend/write_leaf.h"
 #include "stream/base/disk_space.h"
+#include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/base/hash.h"
 #include "stream/store/layer.h"
@@ -29,6 +30,7 @@ namespace chiaro::blend {
 namespace {
 
 constexpr int kLeastMargin = 1;   // for interpolation
+constexpr std::size_t kMostPhotographs = 1u << 16;   // votes keep their numbers in 16 bits
 
 class Blender {
  public:
@@ -199,13 +201,13 @@ class Blender {
 
   /// How far readings without a vote may lie from the majority, by a sample of photographs that one more or less hardly changes. Where each has a vote there are none.
   void find_tolerance() {
-    constexpr std::size_t kMostPhotographs = 64;
+    constexpr std::size_t kMostInSample = 64;
     distances_.resize(num_photographs());
     if (!votes_ || options_.known || num_photographs() <= kVotes) return;
     std::vector<std::uint32_t> sample(num_photographs()), unknown;
     std::iota(sample.begin(), sample.end(), 0u);
     std::sort(sample.begin(), sample.end(), [&](std::uint32_t a, std::uint32_t b) { return std::tie(photograph_keys_[a], a) < std::tie(photograph_keys_[b], b); });
-    sample.resize(std::min(sample.size(), kMostPhotographs));
+    sample.resize(std::min(sample.size(), kMostInSample));
     std::sort(sample.begin(), sample.end());
     for (const std::uint32_t k : sample) {
       if (const PhotographState* known = unchanged(k); known && known->distances.readings != ReadingDistances{}.readings) distances_[k] = known->distances;
@@ -457,6 +459,7 @@ void BlendOptions::validate() const {
 BlendStats blend(const stream::Store& store, std::span<const BlendPhotograph> photographs, const BlendOptions& options,
                  const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report) {
   options.validate();
+  if (photographs.size() > kMostPhotographs) throw Error(concat("blend: ", photographs.size(), " photographs, but ", kMostPhotographs, " at most can be blended together"));
   if (options.known && (options.known->gain.size() != photographs.size() || options.known->alignment.size() != photographs.size()))
     throw std::invalid_argument("blend: what is known is of other photographs");
   make_folder(scratch);

@@ -78,12 +78,13 @@ struct LeafFile::Impl {
   void begin_write(std::size_t leaf) {
     const std::lock_guard lock(mutex);
     if (current[leaf] < 0) return;
-    if (is_doubled[leaf]) is_doubled[leaf] = 0;   // its room is written again
-    else spare += slot_bytes(leaf);
-    if (spare > most_spare) {
+    // Its newer state may not be on the disk yet: until it is, the older one is all that a power cut would leave.
+    const bool older_is_needed = is_doubled[leaf] != 0;
+    if (older_is_needed || spare + slot_bytes(leaf) > most_spare) {
       file.sync();
       release_doubled();
     }
+    spare += slot_bytes(leaf);
   }
   void end_write(std::size_t leaf, int slot, const Mark& mark) {
     const std::lock_guard lock(mutex);

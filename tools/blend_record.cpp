@@ -31,7 +31,7 @@ Json json_of(const blend::PhotographStats& p, const std::string& name) {
 void add_notes(const blend::PhotographStats& p, const std::string& name, Json& notes) {
   const double gain = std::cbrt(p.gain[0] * p.gain[1] * p.gain[2]);
   if (p.gain != std::array<double, 3>{1, 1, 1}) notes.push_back(concat(name, ": ", format_number(1 / gain, 4), " times as bright as the others show the same surface; corrected in the blend"));
-  if (const auto& shift = p.inspection.shift_px; shift && p.alignment.trust < 1)
+  if (const auto& shift = p.inspection.shift_px; shift && (p.alignment.trust < 1 || p.alignment.shift_px != Vec2f::Zero()))
     notes.push_back(concat(name, ": shows the surface ", format_number(static_cast<double>(shift->norm()), 2), " pixels beside where its camera puts it; ",
                            p.alignment.shift_px == Vec2f::Zero() ? "its weight is reduced" : "corrected in the blend"));
   if (const auto& d = p.inspection.disturbed)

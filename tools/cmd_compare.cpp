@@ -79,7 +79,7 @@ int run_compare(std::span<const std::string> args, Console& console) {
   Words words;
   Args parser("compare",
               "How alike two pictures are (EXR, PNG, TIFF, JPEG), or the colours of two clouds of the same points:\n"
-              "PLY, LAS or PCD files, layers of stores (DIR:LAYER), or .npy arrays of linear albedos. B is the reference.\n"
+              "point files that ingest reads, layers of stores (DIR:LAYER), or .npy arrays of linear albedos. B is the reference.\n"
               "8-bit pictures and PNG are taken as sRGB and linearised; all else is linear.");
   parser.positional("A", words.a, "what is measured");
   parser.positional("B", words.b, "the reference");

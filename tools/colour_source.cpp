@@ -173,7 +173,7 @@ fs::path store_folder(const fs::path& dir) {
 bool names_points(const std::string& spec) {
   if (split_layer(spec)) return true;
   const std::string extension = lower_extension(spec);
-  for (const char* e : {".ply", ".las", ".pcd", ".xyz", ".txt", ".asc", ".csv", ".pts", ".npy"})
+  for (const char* e : {".ply", ".las", ".laz", ".pcd", ".e57", ".ptx", ".xyz", ".xyzn", ".xyzrgb", ".txt", ".asc", ".csv", ".pts", ".npy"})
     if (extension == e) return true;
   return false;
 }

@@ -78,11 +78,11 @@ ImageComparison compare_images(const std::filesystem::path& test, const std::fil
   if (!options.mask.empty()) mask = read_mask(options.mask, a.width, a.height);
   result.width = a.width;
   result.height = a.height;
-  count_pixels(a, b, mask, result);
 
   if (options.clip)
     for (std::vector<float>* values : {&a.rgb, &b.rgb})
       for (float& v : *values) v = std::isnan(v) ? v : std::clamp(v, 0.0f, static_cast<float>(options.peak));
+  count_pixels(a, b, mask, result);
   result.flip = flip(a.view(), b.view(), mask).mean;
   result.delta_e = mean_delta_e_2000(a.view(), b.view(), mask);
   if (options.srgb)

@@ -18,7 +18,7 @@ struct CompareImagesOptions {
 struct ImageComparison {
   int width = 0, height = 0;
   std::uint64_t pixels = 0;      ///< that count: set in the mask
-  std::uint64_t not_finite = 0;  ///< of these, pixels with NaN or infinity in one of the pictures; any makes the measures NaN
+  std::uint64_t not_finite = 0;  ///< of these, pixels with NaN or infinity (unless clipped) in one of the pictures; any makes the measures NaN
   double psnr = 0;               ///< dB
   double ssim = 0;               ///< on luminance
   double ssim_rgb = 0;           ///< mean over the channels

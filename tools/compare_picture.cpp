@@ -9,7 +9,7 @@
 namespace chiaro::tools {
 namespace {
 
-constexpr int kSheetPx = 1600, kGapPx = 12, kScalePx = 16;
+constexpr int kSheetPx = 1600, kMostHighPx = 4 * kSheetPx, kGapPx = 12, kScalePx = 16;
 constexpr std::array<std::uint8_t, 3> kBackground{40, 40, 40}, kNotCompared{128, 128, 128};
 
 double extent_along(const Vec3d& axis, const Vec3d& size) { return axis.cwiseAbs().dot(size); }
@@ -32,7 +32,7 @@ DifferencePicture::DifferencePicture(const Box3d& bounds, std::uint64_t num_poin
   const std::array<std::array<Vec3d, 3>, 6> axes{{{x, -z, y}, {y, -z, -x}, {-x, -z, -y}, {-y, -z, x}, {x, -y, -z}, {x, y, z}}};
   const double largest = std::max(1e-9, (bounds.max - bounds.min).maxCoeff());
   const Vec3d size = (bounds.max - bounds.min).cwiseMax(1e-3 * largest);   // flat clouds have sides too
-  pitch_ = 2 * (size.x() + size.y()) / (kSheetPx - 5 * kGapPx);
+  pitch_ = std::max(2 * (size.x() + size.y()) / (kSheetPx - 5 * kGapPx), size.z() / kMostHighPx);   // towers stay narrow
   // Points as large as they would be if they covered the box evenly: fewer holes to look through.
   const double area = 2 * (size.x() * size.y() + size.y() * size.z() + size.z() * size.x());
   const double spacing = std::sqrt(area / static_cast<double>(std::max<std::uint64_t>(1, num_points)));
@@ -47,6 +47,7 @@ DifferencePicture::DifferencePicture(const Box3d& bounds, std::uint64_t num_poin
     v.height = 1 + static_cast<int>(extent_along(v.down, size) / pitch_);
     v.right0 = std::min(v.right.dot(bounds.min), v.right.dot(bounds.max));
     v.down0 = std::min(v.down.dot(bounds.min), v.down.dot(bounds.max));
+    v.ahead0 = std::min(v.ahead.dot(bounds.min), v.ahead.dot(bounds.max));
     if (i == 4) {   // top and bottom stand under the sides
       at_x = kGapPx;
       at_y += row + kGapPx;
@@ -79,7 +80,7 @@ void DifferencePicture::add(const Vec3d& position, double difference) {
   const auto c = colour(difference, range_);
   for (const View& v : views_) {
     const int cx = static_cast<int>((v.right.dot(position) - v.right0) / pitch_), cy = static_cast<int>((v.down.dot(position) - v.down0) / pitch_);
-    const auto depth = static_cast<float>(v.ahead.dot(position) / pitch_);
+    const auto depth = static_cast<float>((v.ahead.dot(position) - v.ahead0) / pitch_);   // a float is too coarse for world coordinates
     for (int y = std::max(0, cy - half_); y <= std::min(v.height - 1, cy + half_); ++y)
       for (int x = std::max(0, cx - half_); x <= std::min(v.width - 1, cx + half_); ++x) {
         const std::size_t i = static_cast<std::size_t>(v.y0 + y) * static_cast<std::size_t>(width_) + static_cast<std::size_t>(v.x0 + x);

@@ -29,7 +29,7 @@ class DifferencePicture {
   struct View {
     Vec3d right, down, ahead;   // unit, world
     int x0 = 0, y0 = 0, width = 0, height = 0;
-    double right0 = 0, down0 = 0;
+    double right0 = 0, down0 = 0, ahead0 = 0;
   };
   void draw_scale();
   std::array<View, 6> views_;

@@ -213,6 +213,9 @@ Sums measure(const std::string& a, const std::string& b, PointComparison& result
 }  // namespace
 
 PointComparison compare_points(const std::string& a, const std::string& b, const std::filesystem::path& out, Reporter& report, const std::filesystem::path& picture) {
+  for (const auto& file : {out, picture})
+    for (const std::string& source : {a, b})
+      if (std::error_code code; !file.empty() && std::filesystem::equivalent(file, source, code)) throw Error(concat(file.string(), ": is what is compared, it is not written over; choose another name"));
   PointComparison result;
   const Sums sums = measure(a, b, result, report);
   if (result.points == 0) throw Error(concat(a, " and ", b, ": no points"));

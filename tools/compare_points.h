@@ -32,7 +32,7 @@ struct PointComparison {
 /// difference, relative; NaN where not compared), empty = nowhere.
 /// picture: where to draw them as a PNG of the cloud from six sides (see DifferencePicture), signed: mean over the channels of (a - b) / b; empty = nowhere.
 /// Two passes over both, in bounded memory. Points are matched by their order.
-/// throws Error if the numbers of points differ, if the sources have no values in common or show different points.
+/// throws Error if out or picture is a or b, if the numbers of points differ, if the sources have no values in common or show different points.
 PointComparison compare_points(const std::string& a, const std::string& b, const std::filesystem::path& out, Reporter& report, const std::filesystem::path& picture = {});
 
 }  // namespace chiaro::tools

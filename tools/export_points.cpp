@@ -43,6 +43,15 @@ bool on_one_disk(const std::filesystem::path& a, const std::filesystem::path& b)
   return ::stat(a.c_str(), &in_a) == 0 && ::stat(b.c_str(), &in_b) == 0 && in_a.st_dev == in_b.st_dev;
 }
 
+/// The input of a run is not replaced by its result, which may lack what was rejected and names that the format has not.
+void refuse_sources(const stream::Store& store, const ExportOptions& options) {
+  std::vector<std::filesystem::path> sources(store.manifest().source_files.begin(), store.manifest().source_files.end());
+  sources.insert(sources.end(), options.sources.begin(), options.sources.end());
+  for (const std::filesystem::path& source : sources)
+    if (std::error_code code; std::filesystem::equivalent(options.file, source, code))
+      throw Error(concat(options.file.string(), ": is a source file of ", store.path().string(), ", it is not written over; choose another name"));
+}
+
 class Exporter {
  public:
   Exporter(const stream::Store& store, const ExportOptions& options, MemoryBudget& budget, Reporter& report)
@@ -257,6 +266,7 @@ ExportStats export_points(const stream::Store& store, const ExportOptions& optio
     for (const std::string& name : stream::layer_names(store)) known += (known.empty() ? "" : ", ") + name;
     throw Error(concat(store.path().string(), ": has no layer \"", options.layer, "\" (layers: ", known.empty() ? "none" : known, ")"));
   }
+  refuse_sources(store, options);
   make_folder(scratch);
   return Exporter(store, options, budget, report).run(scratch);
 }

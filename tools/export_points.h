@@ -35,7 +35,7 @@ struct ExportStats {
 /// properties are dropped, and a note says so; so too where a file cannot be read within the budget. Properties that not all source files share are dropped too.
 /// Points that were inserted beside the layer follow after all others, where a photograph sees them; the input's own properties are NaN there, whole numbers 0.
 /// scratch: a folder for 44 bytes a point; room for them and for the result is asked for before anything is written. Memory: two passes over buckets of consecutive points, as the budget allows.
-/// throws Error (no such layer, no space, unknown extension), Cancelled.
+/// throws Error (no such layer, no space, unknown extension, a file that is a source of the store), Cancelled.
 ExportStats export_points(const stream::Store& store, const ExportOptions& options, const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report);
 
 }  // namespace chiaro::tools

@@ -31,12 +31,11 @@ File open_or_nothing(const fs::path& path) {
 
 class IndexRepairer {
  public:
-  IndexRepairer(const fs::path& store, const std::optional<Manifest>& manifest, MemoryBudget& budget, Reporter& report)
+  IndexRepairer(const fs::path& store, const std::optional<Manifest>& manifest, Reporter& report)
       : path_(index_path(store)), manifest_(manifest), report_(report), geometry_(open_or_nothing(geometry_path(store))), source_(open_or_nothing(source_path(store))) {
     const File file(path_, File::Mode::kRead);
     const std::uint64_t size = file.size();
     if (size < sizeof(IndexHeader)) fail(concat(size, " bytes are left of it"));
-    lease_ = BudgetLease(budget, 3 * size, "index");
     bytes_.resize(size);
     file.read_at(0, bytes_.data(), size);
   }
@@ -110,20 +109,33 @@ class IndexRepairer {
         continue;
       }
       const std::size_t i = fix.at / kIndexRecordBytes;
-      if (!agrees(entries[i]) && !follows(entries, i)) continue;
+      if ((!agrees(entries[i]) && !follows(entries, i)) || is_contradicted(entries)) continue;
       if (answer) return std::nullopt;
       answer = std::move(entries);
     }
     return answer;
   }
 
+  // Damage of several bytes may look like that of one somewhere else. Then there is a chunk whose geometry is whole and whose bounds are not those of its record.
+  bool is_contradicted(const std::vector<ChunkEntry>& entries) const {
+    return std::any_of(entries.begin(), entries.end(), [&](const ChunkEntry& e) {
+      report_.check();
+      return checksum_at(geometry_, e.offset, geometry_bytes(e.count)) == e.geometry_crc && !has_bounds(e);
+    });
+  }
+
+  // Of its geometry, which is whole.
+  bool has_bounds(const ChunkEntry& e) const {
+    ChunkEntry same = e;
+    set_tight_bounds(same, read_blocks(geometry_, e));
+    return same.tight_min == e.tight_min && same.tight_max == e.tight_max;
+  }
+
   // Is the chunk what its record says, as far as the bytes on disk can tell?
   bool agrees(const ChunkEntry& e) const {
     if (checksum_at(geometry_, e.offset, geometry_bytes(e.count)) != e.geometry_crc) return false;
     if (e.is_leaf() && checksum_at(source_, e.source_offset, kSourceBytes * e.count) != e.source_crc) return false;
-    ChunkEntry same = e;
-    set_tight_bounds(same, read_blocks(geometry_, e));
-    return same.tight_min == e.tight_min && same.tight_max == e.tight_max;
+    return has_bounds(e);
   }
 
   // Is an inner node, whose own bytes may be damaged, what its children make?
@@ -254,7 +266,6 @@ class IndexRepairer {
   const std::optional<Manifest>& manifest_;
   Reporter& report_;
   File geometry_, source_;
-  BudgetLease lease_;
   std::vector<std::byte> bytes_;
   std::span<const std::byte> records_;
   bool header_is_whole_ = false;
@@ -265,8 +276,8 @@ class IndexRepairer {
 
 }  // namespace
 
-RepairedIndex repaired_index(const fs::path& store, const std::optional<Manifest>& manifest, MemoryBudget& budget, Reporter& report) {
-  return IndexRepairer(store, manifest, budget, report).run();
+RepairedIndex repaired_index(const fs::path& store, const std::optional<Manifest>& manifest, Reporter& report) {
+  return IndexRepairer(store, manifest, report).run();
 }
 
 void set_tight_bounds(ChunkEntry& e, const std::vector<SurfelBlock>& blocks) {

@@ -107,9 +107,12 @@ class StoreRepairer {
   // Index
 
   bool repair_index() {
+    std::error_code missing;
+    const std::uintmax_t size = fs::file_size(index_path(path_), missing);
+    const BudgetLease lease(budget_, missing ? 0 : 3 * size, "index");   // too little memory is no loss
     RepairedIndex index;
     try {
-      index = repaired_index(path_, manifest_, budget_, report_);
+      index = repaired_index(path_, manifest_, report_);
     } catch (const Error& e) {
       add_line(result_.lost, e.what());
       advise_ingest("without its index the store cannot be read");

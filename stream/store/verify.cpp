@@ -155,7 +155,7 @@ class Verifier {
   void check_sources(const Store& store) {
     const std::uint64_t numbers = store.manifest().points_read;
     for (const std::uint32_t leaf : store.leaves()) result_.surfels += store.chunks()[leaf].count;
-    const std::uint64_t bitmap = std::clamp<std::uint64_t>(budget_.free_bytes() / 2, 4096, numbers / 8 + 8);
+    const std::uint64_t bitmap = std::min(numbers / 8 + 8, std::max<std::uint64_t>(4096, budget_.free_bytes() / 2));
     const BudgetLease lease(budget_, bitmap, "bitmap of source indices");
     std::vector<std::uint8_t> seen(bitmap);
     report_.begin("verify source indices", store.leaves().size() * ((numbers + 8 * bitmap - 1) / (8 * bitmap)), "chunks");

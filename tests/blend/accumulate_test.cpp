@@ -26,6 +26,15 @@ TEST(Accumulate, TwoPhotographsByHand) {
   EXPECT_NEAR(resolve(apart, 0).sigma, std::sqrt(0.0075f / 0.6f) / 0.55f, 1e-5f);
 }
 
+TEST(Accumulate, ThePowerOfOneAndAHalfByHand) {
+  Accumulator sum;   // weights 1 and 8 in the high band
+  add_sample(sum, sample(1, 0.5f, 0.1f, 0.02f), 1.5f);
+  add_sample(sum, sample(4, 0.5f, -0.1f, 0), 1.5f);
+  const BlendedSurfel s = resolve(sum, 0);
+  EXPECT_NEAR(s.albedo[2], 0.5f + (0.1f - 0.8f) / 9, 1e-6f);
+  EXPECT_NEAR(s.sigma, 0.02f / 5, 1e-6f);
+}
+
 TEST(Accumulate, ThreeBandsByHand) {
   Accumulator sum;
   std::array<MiddleSum, 1> middle{};
@@ -58,6 +67,13 @@ TEST(Accumulate, ContradictionShowsInSigma) {
   Accumulator dark;
   for (int i = 0; i < 3; ++i) add_sample(dark, sample(1, 0, 0, 0.01f), 2);
   EXPECT_TRUE(std::isfinite(resolve(dark, 0).sigma));
+}
+
+TEST(Accumulate, ExactReadingsThatDifferAreUncertainButHaveNoNoise) {
+  Accumulator sum;
+  for (const float value : {0.4f, 0.6f}) add_sample(sum, sample(1, value, 0, 0), 2);
+  EXPECT_NEAR(resolve(sum, 0).sigma, 0.2f, 1e-5f);
+  EXPECT_EQ(resolve(sum, 0).own_sigma, 0);   // nothing for denoising to take away
 }
 
 TEST(Accumulate, WhatPhotographsHaveInCommonDoesNotAverageOut) {

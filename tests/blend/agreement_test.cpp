@@ -67,6 +67,24 @@ TEST(Agreement, EachGroupOfPhotographsKeepsItsOwnBrightness) {
 TEST(Agreement, FactorsWithinTheScatterAreLeftAlone) {
   const Agreement a = find_agreement(chain(factors({1, 1.01f, 1})), 3, Gain::kGrey);
   EXPECT_EQ(a.log_gain[1], Vec3f(Vec3f::Zero()));
+  // Half of the readings lie 10 % and more from the others: a factor of 8 % is within that.
+  std::vector<ReadingPair> wide = chain(factors({1, 1.08f, 1}));
+  for (std::size_t i = 0; i < wide.size(); ++i) wide[i].difference.array() += 0.004f * (static_cast<float>(i * 37 % 101) - 50);   // evenly within 0.2
+  const Agreement b = find_agreement(wide, 3, Gain::kGrey);
+  EXPECT_NEAR(b.scatter, 0.1f, 0.02f);
+  EXPECT_EQ(b.log_gain[1], Vec3f(Vec3f::Zero()));
+}
+
+TEST(Agreement, TheDarkSaysNothingOfAFactor) {
+  Ballot ballot;
+  const auto cast = [&](std::uint16_t k, float value) { cast_vote(ballot, k, {1, 0.01f, 0, Vec3f::Constant(value), Vec3f::Zero()}, 1); };
+  cast(0, 0.5f);
+  cast(1, 0.6f);
+  cast(2, 0.05f);   // below five times the offset
+  std::vector<ReadingPair> pairs;
+  append_pairs(ballot, pairs);
+  ASSERT_EQ(pairs.size(), 1u);
+  EXPECT_NEAR(pairs[0].difference[1], std::log(1.2f), 1e-3f);   // of the values, and not of what is added to them in the dark
 }
 
 TEST(Agreement, NoPairsNoGains) {

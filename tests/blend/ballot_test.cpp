@@ -127,6 +127,10 @@ TEST(Ballot, AReadingOfLittleWeightHasLessThanAVote) {
   ASSERT_TRUE(good);
   EXPECT_EQ(good->members, 0b0011);
   EXPECT_FALSE(majority_of(ballot_of({reading(0.4f), reading(0.8f, 0.001f), reading(0.8f, 0.001f)}), kNoGains, kTolerance));
+  // from a twentieth of the largest weight on a vote is a whole one
+  const auto many = majority_of(ballot_of({reading(0.4f), reading(0.8f, 0.1f), reading(0.8f, 0.06f)}), kNoGains, kTolerance);
+  ASSERT_TRUE(many);
+  EXPECT_EQ(many->members, 0b0110);
 }
 
 TEST(Ballot, GainsMakeBrighterPhotographsAgree) {

@@ -113,6 +113,20 @@ TEST(Bands, TheOtherSideOfACreaseDoesNotChangeTheAngle) {
   EXPECT_NEAR(surface.mean(33, 8, 0.01f).cosv, 0.2f, 1e-2f);
 }
 
+TEST(Bands, NoiseOfTheAngleIsAveraged) {
+  auto pixels = flat_image(64, 32, [](int, int) { return Vec3f::Constant(0.5f); });
+  for (std::size_t i = 0; i < pixels.size(); ++i) pixels[i].cosv = (i + i / 64) % 2 == 0 ? 0.4f : 0.8f;
+  EXPECT_NEAR(pyramid(pixels, 64, 32, 0.1f).mean(32, 16, 0.01f).cosv, 0.6f, 1e-2f);
+}
+
+TEST(Bands, WhatIsMarkedAtABorderIsNearToItsNeighbours) {
+  for (const int at : {0, 6}) {
+    std::vector<std::uint8_t> marked(7 * 7);
+    marked[static_cast<std::size_t>(7 * at + at)] = 1;
+    EXPECT_EQ(distance_to_marked(marked, 7, 7, 20)[7 * 3 + 3], std::hypot(3.0f, 3.0f)) << at;
+  }
+}
+
 TEST(Bands, DistancesAgreeWithThePlainSearch) {
   constexpr int kWidth = 37, kRows = 29;
   constexpr float kCap = 9;
@@ -139,6 +153,21 @@ TEST(ViewWeights, RampsStartAtZeroAndEndAtOneWithoutAStep) {
     EXPECT_GE(b, a);
     EXPECT_LT(b - a, 0.01f);
   }
+}
+
+TEST(ViewWeights, EachCriterionByHand) {
+  EXPECT_FLOAT_EQ(smooth_ramp(1, 4), 5.0f / 32);
+  EXPECT_FLOAT_EQ(angle_weight(1), 1);
+  EXPECT_FLOAT_EQ(angle_weight(0.5f), 0.25f);        // pixels that cover more by the square of the cosine
+  EXPECT_FLOAT_EQ(sigma_weight(0.02f), 0.5f);        // 1 / variance, and as much again from other errors
+  EXPECT_FLOAT_EQ(sigma_weight(0.06f), 0.1f);
+  EXPECT_FLOAT_EQ(incidence_weight(0.1f), 0.5f);
+  EXPECT_FLOAT_EQ(incidence_weight(0.3f), 0.1f);
+  EXPECT_EQ(edge_weight(1, 12), 0);                  // pixels that mix two surfaces
+  EXPECT_FLOAT_EQ(edge_weight(4, 12), 5.0f / 32);
+  EXPECT_FLOAT_EQ(mask_weight(3, 12), 5.0f / 32);
+  EXPECT_FLOAT_EQ(saturation_ramp_px(12), 3);
+  EXPECT_FLOAT_EQ(saturation_ramp_px(4), 2);
 }
 
 TEST(ViewWeights, EachCriterionPrefersTheBetterPixelAndSurvivesBadInput) {

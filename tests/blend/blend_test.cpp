@@ -99,6 +99,43 @@ TEST(Blend, FurtherBandsHaveWeightsOfTheirOwn) {
   EXPECT_GT(apart, 1e-4);   // bands are blended by weights of their own
 }
 
+TEST(Blend, AFactorIsAppliedToAllBands) {
+  AnalyticScene detailed = plane_scene();
+  detailed.albedo = [](const Vec3d& p) -> Vec3f { return smooth_paint(p) + Vec3f::Constant(0.1f * static_cast<float>(std::sin(110 * p.x()) * std::sin(105 * p.y()))); };
+  const Workplace w(detailed);
+  // The one that is off is nearer: it counts more the higher the band.
+  const auto at = [&](const std::string& name, const Vec3d& eye, float gain) { return w.photograph(name, eye, Vec3d(0.5, 0.5, 0), gained(gain)); };
+  const auto photographs = [&](float gain) { return std::vector{at("a", Vec3d(0.4, 0.5, 0.8), 1), at("b", Vec3d(0.5, 0.5, 0.8), 1), at("c", Vec3d(0.5, 0.5, 0.6), gain)}; };
+  for (const int bands : {2, 3, 4}) {
+    BlendOptions options;
+    options.bands = bands;
+    options.high_band_power = 4;
+    w.run(photographs(1), options);
+    const std::vector<Seen> alike = w.result();
+    const BlendStats stats = w.run(photographs(1.3f), options);
+    EXPECT_NEAR(stats.photographs[2].gain[0], 1 / 1.3, 0.005) << bands;
+    const std::vector<Seen> found = w.result();
+    double error = 0, seen = 0;
+    for (std::size_t i = 0; i < found.size(); ++i)
+      if (found[i].photos == 3 && alike[i].photos == 3) error += static_cast<double>((found[i].albedo.cwiseQuotient(alike[i].albedo).array() - 1).abs().maxCoeff()), ++seen;
+    EXPECT_GT(seen, 2000) << bands;
+    EXPECT_LT(error / seen, 0.005) << bands;
+  }
+}
+
+TEST(Blend, WhatIsTrustedLessCountsLess) {
+  const Workplace w(plane_scene());
+  const auto shot = [&](const std::string& name, float gain) { return w.photograph(name, Vec3d(0.5, 0.5, 0.8), Vec3d(0.5, 0.5, 0), gained(gain)); };
+  BlendOptions options;
+  options.reject = false;
+  options.known = Findings{{{1, 1, 1}, {1, 1, 1}}, {Alignment{}, Alignment{Vec2f::Zero(), 0.25f}}, 0.01, {}};
+  w.run({shot("a", 1), shot("b", 1.5f)}, options);
+  double factor = 0, seen = 0;
+  for (const Seen& s : w.result())
+    if (s.photos == 2) factor += static_cast<double>(s.albedo.cwiseQuotient(smooth_paint(s.position)).mean()), ++seen;
+  EXPECT_NEAR(factor / seen, (1 + 0.25 * 1.5) / 1.25, 0.002);
+}
+
 TEST(Blend, ThreeBandsHaveTheSameBytesForAnyBudgetAndAfterStops) {
   const Workplace w(painted_plane());
   const std::vector<BlendPhotograph> photos{w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.3, 0.5, 0)), w.photograph("b", Vec3d(0.7, 0.4, 0.5), Vec3d(0.7, 0.5, 0), gained(1.1f)),
@@ -366,6 +403,18 @@ TEST(Blend, AStoppedBlendContinuesToTheSameBytes) {
   ASSERT_LT(stops, 100);
   EXPECT_GE(stops, 3);
   EXPECT_EQ(w.bytes(), expected);
+}
+
+TEST(Blend, MorePhotographsThanVotesCanNameAreRefused) {
+  const Workplace w(plane_scene());
+  MemoryBudget budget(kPlenty);
+  const std::vector<BlendPhotograph> photos(65537);
+  try {
+    blend(*w.store, photos, {}, w.folder.path() / "scratch", budget, silent_reporter());
+    FAIL();
+  } catch (const Error& e) {
+    EXPECT_NE(std::string(e.what()).find("65537 photographs, but 65536"), std::string::npos) << e.what();
+  }
 }
 
 TEST(Blend, APhotographThatSeesNothingAndTheSameOneTwiceAreLegal) {

@@ -115,6 +115,15 @@ TEST(Denoise, NothingComesFromAnotherFaceOrFromBeyondItsReach) {
   EXPECT_EQ(denoise(s, 1, 0.01f)[0].log_albedo, s.log_albedo[0]);
 }
 
+TEST(Denoise, NormalsOfUnknownSignAreTheSameTurned) {
+  NoisySurfels known = square(20, 0.2f, [](int, int) { return -1.0f; });
+  for (std::uint8_t& oriented : known.oriented) oriented = 0;
+  NoisySurfels turned = known;
+  for (std::size_t i = 0; i < turned.size(); i += 2) turned.normal[i] *= -1;
+  const std::vector<Denoised> a = denoise(known, known.size(), 6), b = denoise(turned, turned.size(), 6);
+  for (std::size_t i = 0; i < a.size(); ++i) ASSERT_EQ(a[i].log_albedo, b[i].log_albedo) << i;
+}
+
 /// The painted plane in photographs with noise of `sd`, other in each pixel.
 BlendPhotograph noisy_photograph(const Workplace& w, const std::string& name, float sd) {
   ShotOptions options;
@@ -156,6 +165,22 @@ TEST(Denoise, ABlendComesOutNearerToTheTruthAndSaysSo) {
       ASSERT_TRUE(std::isnan(after[i].sigma));
     }
   }
+}
+
+TEST(Denoise, WhatAllPhotographsShareStaysInSigma) {
+  const Workplace w(plane_scene());
+  BlendOptions options;
+  options.denoise = true;
+  const std::vector<BlendPhotograph> photos{noisy_photograph(w, "a", 0.1f)};
+  w.run(photos, options);
+  const std::vector<Seen> alone = w.result();
+  options.shared_sigma = 0.3;
+  w.run(photos, options);
+  const std::vector<Seen> shared = w.result();
+  for (std::size_t i = 0; i < alone.size(); ++i)
+    if (alone[i].photos > 0) {
+      ASSERT_NEAR(shared[i].sigma, std::hypot(alone[i].sigma, 0.3f), 1e-5f);
+    }
 }
 
 TEST(Denoise, PhotographsThatAreExactKeepTheirBits) {

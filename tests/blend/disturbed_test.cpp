@@ -69,6 +69,8 @@ TEST_F(Disturbed, ExposureIsTakenOut) {
   EXPECT_LT(error(w.result()), kMostWorse * before);
   EXPECT_NEAR(stats.photographs[1].gain[0], 1 / 1.3, 1e-3);
   EXPECT_EQ(stats.photographs[0].gain[0], 1);
+  EXPECT_FALSE(stats.photographs[1].inspection.disturbed);   // with its factor it shows what the others show
+  EXPECT_LT(stats.photographs[1].rejected, kAtBorders);
   BlendOptions without;
   without.gain = Gain::kNone;
   without.reject = false;
@@ -126,6 +128,23 @@ TEST_F(Disturbed, APhotographBesideItsPlaceIsReadWhereItShowsTheSurface) {
   without.align = false;
   w.run(photos, without);
   EXPECT_GT(error(w.result()), 1.5 * before);
+}
+
+TEST_F(Disturbed, APhotographBesideItsPlaceHasTheSameBytesInBands) {
+  // Rows that a band of the picture has to hold beside those of its surfels.
+  std::vector<BlendPhotograph> photos = photographs();
+  stream::Camera moved = camera(1);
+  moved.photograph = "moved";
+  moved.lens.cy += 3;
+  photos[1].albedo = shoot(w.scene, moved, w.folder.path()).albedo;
+  const BlendStats stats = w.run(photos);
+  const auto expected = w.bytes();
+  ASSERT_NEAR((stats.photographs[1].alignment.shift_px - Vec2f(0, 3)).norm(), 0, 0.1f);
+  const BlendStats small = w.run(photos, {}, 2400 << 10);
+  EXPECT_GT(small.chunks_visited, stats.chunks_visited);
+  EXPECT_EQ(small.photographs[1].inspection.shift_px, stats.photographs[1].inspection.shift_px);
+  EXPECT_EQ(small.photographs[1].inspection.shift_readings, stats.photographs[1].inspection.shift_readings);
+  EXPECT_EQ(w.bytes(), expected);
 }
 
 TEST_F(Disturbed, HasTheSameBytesForAnyBudgetAndOrder) {
@@ -217,6 +236,28 @@ TEST_F(Disturbed, WhatIsUsualFromAfarIsNoDisturbanceAndAnotherObjectIs) {
   const BlendStats stats = w.run(photos);
   EXPECT_LT(stats.tolerance.of_votes(), 0.05f);
   for (std::size_t k = 0; k < photos.size(); ++k) EXPECT_EQ(stats.photographs[k].inspection.disturbed.has_value(), k == 12) << photos[k].name;
+  for (const std::size_t k : {10u, 11u, 13u, 14u, 15u}) EXPECT_LT(stats.photographs[k].rejected, stats.photographs[k].samples / 10) << photos[k].name;   // it stays in the result; by the votes' tolerance most of it would go
+}
+
+TEST(Majority, AReadingBetweenOneAndTwoTolerancesCountsInPart) {
+  // A wall of one colour; in a stripe one of three photographs is 4.5 % brighter, where 3 % are allowed.
+  AnalyticScene even = plane_scene();
+  even.albedo = [](const Vec3d&) -> Vec3f { return Vec3f::Constant(0.4f); };
+  const Workplace w(even);
+  ShotOptions shot;
+  shot.paint = [](int x, int, const Vec3f& albedo) -> Vec3f { return std::abs(x - 80) < 30 ? Vec3f(1.045f * albedo) : albedo; };
+  const auto at = [&](const std::string& name, const ShotOptions& options) { return w.photograph(name, Vec3d(0.5, 0.5, 0.8), Vec3d(0.5, 0.5, 0), options); };
+  BlendOptions options;
+  options.gain = Gain::kNone;
+  const BlendStats stats = w.run({at("a", {}), at("b", {}), at("c", shot)}, options);
+  ASSERT_NEAR(stats.tolerance.of_votes(), 0.03f, 1e-6f);
+  // The majority are the two that agree; the offset in the dark takes a little of the distance.
+  const double distance = std::log((1.045 + 0.02) / 1.02), t = 2 - distance / 0.03, share = t * t * (3 - 2 * t);
+  double factor = 0, seen = 0;
+  for (const Seen& s : w.result())
+    if (s.photos == 3 && std::abs(s.position.x() - 0.5) < 0.04 && std::abs(s.position.y() - 0.5) < 0.2) factor += static_cast<double>(s.albedo.mean()) / 0.4, ++seen;
+  EXPECT_GT(seen, 200);
+  EXPECT_NEAR(factor / seen, (2 + share * 1.045) / (2 + share), 0.001);
 }
 
 }  // namespace

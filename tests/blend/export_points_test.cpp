@@ -6,14 +6,18 @@
 #include <cmath>
 #include <cstring>
 #include <fstream>
+#include <set>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/base/hash.h"
 #include "stream/base/parallel.h"
 #include "stream/base/rng.h"
 #include "stream/cloud/point_stream.h"
 #include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
+#include "tools/export_rows.h"
+#include "tools/inserted_points.h"
 
 namespace chiaro::tools {
 namespace {
@@ -148,8 +152,8 @@ class ExportPoints : public ::testing::Test {
     write_ply(cloud, points);
     return build({cloud});
   }
-  static void write_layer(const stream::Store& store) {
-    stream::LayerWriter writer(store, "albedo", stream::albedo_fields(), "{}");
+  static void write_layer(const stream::Store& store, const std::string& provenance = "{}") {
+    stream::LayerWriter writer(store, "albedo", stream::albedo_fields(), provenance);
     for (const std::uint32_t leaf : store.leaves()) {
       const stream::Chunk chunk = store.read_chunk(leaf);
       const auto sources = store.read_sources(leaf);
@@ -265,6 +269,19 @@ TEST_F(ExportPoints, ADiskThatIsTooSmallIsMetBeforeAnythingIsWritten) {
   EXPECT_EQ(run(store, options).points, store.manifest().points_stored);
 }
 
+TEST_F(ExportPoints, NeverWritesOverASourceFile) {
+  const stream::Store store = build();
+  write_layer(store);
+  const std::string before = read_text(cloud);
+  ExportOptions options = to("cloud.ply");
+  EXPECT_THROW(run(store, options), Error);
+  std::filesystem::rename(cloud, folder.path() / "now_here.ply");
+  options.file = folder.path() / "store.chiaro/../now_here.ply";
+  options.sources = {folder.path() / "now_here.ply"};
+  EXPECT_THROW(run(store, options), Error);
+  EXPECT_EQ(read_text(folder.path() / "now_here.ply"), before);
+}
+
 TEST_F(ExportPoints, FillGivesUnseenPointsTheirNeighboursAlbedoAndKeepsThemMarked) {
   const stream::Store store = build();
   write_layer(store);
@@ -284,6 +301,34 @@ TEST_F(ExportPoints, FillGivesUnseenPointsTheirNeighboursAlbedoAndKeepsThemMarke
     ASSERT_NEAR(ply.at(i, "red"), srgb(ply.at(i, "albedo_r")), 1);
   }
   EXPECT_EQ(unseen, stats.points_unseen);
+}
+
+TEST_F(ExportPoints, WhatIsNearerFillsMore) {
+  points.assign(3, {});
+  points[1].x = 1;
+  points[2].x = 0.25;
+  const stream::Store store = build();
+  stream::LayerWriter writer(store, "albedo", stream::albedo_fields(), "{}");
+  const auto sources = store.read_sources(store.leaves()[0]);
+  std::vector<float> values(12, std::nanf(""));   // planes r, g, b, sigma
+  std::vector<std::uint16_t> photos(3, 0);
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (sources[i] == 2) continue;
+    for (std::size_t c = 0; c < 3; ++c) values[3 * c + i] = sources[i] == 0 ? 0.2f : 0.8f;
+    photos[i] = 1;
+  }
+  std::vector<std::byte> planar(3 * 18);
+  std::memcpy(planar.data(), values.data(), 48);
+  std::memcpy(planar.data() + 48, photos.data(), 6);
+  writer.write_chunk(store.leaves()[0], planar);
+  writer.finish_inner(silent_reporter());
+  writer.commit();
+  ExportOptions options = to("filled.ply");
+  options.fill = true;
+  EXPECT_EQ(run(store, options).points_filled, 1u);
+  // by the inverse of the squared distance, a thousandth of the largest one added
+  const double a = 1 / (0.0625 + 0.001 * 0.5625), b = 1 / (0.5625 + 0.001 * 0.5625);
+  EXPECT_NEAR(read_ply(folder.path() / "filled.ply").at(2, "albedo_g"), (0.2 * a + 0.8 * b) / (a + b), 1e-3);
 }
 
 TEST_F(ExportPoints, AFlatAlbedoIsFilledFlat) {
@@ -451,6 +496,111 @@ TEST_F(ExportPoints, LasAndPcdHoldTheSamePointsAndCarryTheAlbedo) {
     for (const auto& e : reader->schema().extras) has_albedo |= e.name == "albedo_r";
     EXPECT_TRUE(has_albedo) << name;
   }
+}
+
+/// The points of a file as an alignment of scans has moved them.
+class MovedReader final : public stream::PointReader {
+ public:
+  MovedReader(const std::filesystem::path& file, const Vec3d& by) : reader_(stream::open_points(file)), by_(by) {}
+  const stream::PointSchema& schema() const override { return reader_->schema(); }
+  bool read(stream::PointBlock& block, std::size_t max_points) override {
+    if (!reader_->read(block, max_points)) return false;
+    for (Vec3d& p : block.position) p += by_;
+    return true;
+  }
+
+ private:
+  std::unique_ptr<stream::PointReader> reader_;
+  Vec3d by_;
+};
+
+TEST_F(ExportPoints, ScansThatWereAlignedAreWrittenWhereTheyAreStored) {
+  write_ply(cloud, points);
+  const Vec3d by(0.3, -0.2, 0.1);
+  const stream::CloudInput input{{cloud}, {file_fingerprint(cloud)}, [&](std::size_t) { return std::make_unique<MovedReader>(cloud, by); }, {}, "", ""};
+  MemoryBudget budget(kPlenty);
+  stream::build_store_from(input, folder.path() / "moved.chiaro", {}, budget, silent_reporter());
+  const stream::Store store(folder.path() / "moved.chiaro");
+  write_layer(store);
+  const ExportStats stats = run(store, to("moved.ply"));
+  EXPECT_EQ(stats.points_moved, stats.points);
+  EXPECT_FALSE(stats.positions_from_store);
+  EXPECT_NE(report.notes.find("the stored positions are written"), std::string::npos);
+  const PlyFile ply = read_ply(folder.path() / "moved.ply");
+  std::size_t row = 0;
+  for (const InputPoint& p : points) {
+    if (std::isnan(p.x)) continue;
+    ASSERT_NEAR(ply.at(row, "x"), p.x + by.x(), 1e-4) << row;
+    ASSERT_NEAR(ply.at(row, "y"), p.y + by.y(), 1e-4) << row;
+    ASSERT_EQ(ply.at(row, "scan"), p.scan) << row;
+    ++row;
+  }
+  EXPECT_EQ(row, stats.points);
+}
+
+TEST_F(ExportPoints, InsertedPointsFollowWhereAPhotographSeesThem) {
+  const stream::Store store = build();
+  write_layer(store, R"({"key": "this run"})");
+  std::vector<InputPoint> more = input_points(2);
+  more.resize(300);
+  for (InputPoint& p : more) p.z += 3e6;   // far beyond the bounds of the cloud: they count in those of the file
+  write_ply(folder.path() / "more.ply", more);
+  const std::filesystem::path place = inserted_path(store.path(), "albedo");
+  std::filesystem::create_directories(place.parent_path());
+  MemoryBudget budget(kPlenty);
+  stream::build_store({folder.path() / "more.ply"}, place, {}, budget, silent_reporter());
+  write_layer(stream::Store(place), R"({"of": "this run"})");
+  std::multiset<double> wanted;
+  for (const InputPoint& p : more)
+    if (seen(Vec3d(p.x, p.y, p.z)) && !std::isnan(p.x)) wanted.insert(p.y);
+  ASSERT_GT(wanted.size(), 100u);
+  ASSERT_LT(wanted.size(), 250u);
+
+  const ExportStats stats = run(store, to("with.ply"));
+  EXPECT_EQ(stats.points_inserted, wanted.size());
+  EXPECT_EQ(stats.points, store.manifest().points_stored + wanted.size());
+  const PlyFile ply = read_ply(folder.path() / "with.ply");
+  ASSERT_EQ(ply.rows.size(), stats.points);
+  std::multiset<double> found;
+  for (std::size_t i = 0; i < ply.rows.size(); ++i) {
+    ASSERT_EQ(ply.at(i, "inserted"), i < store.manifest().points_stored ? 0 : 1);
+    if (i < store.manifest().points_stored) continue;
+    ASSERT_GT(ply.at(i, "photos"), 0);
+    ASSERT_TRUE(std::isnan(ply.at(i, "quality")));
+    ASSERT_EQ(ply.at(i, "scan"), 0);
+    found.insert(ply.at(i, "y"));
+  }
+  ASSERT_EQ(found.size(), wanted.size());
+  for (auto a = found.begin(), b = wanted.begin(); a != found.end(); ++a, ++b) ASSERT_NEAR(*a, *b, 1e-4);
+
+  run(store, to("with.las"));
+  const auto reader = stream::open_points(folder.path() / "with.las");
+  stream::PointBlock block;
+  std::size_t high = 0;
+  while (reader->read(block, 1000))
+    for (const Vec3d& p : block.position) {
+      ASSERT_NEAR(p.x(), 500000.5, 0.6);
+      high += std::abs(p.z() - 3e6) < 0.1;
+    }
+  EXPECT_EQ(high, wanted.size());
+  // Of another run they are nobody's.
+  write_layer(stream::Store(place), R"({"of": "another run"})");
+  EXPECT_EQ(run(store, to("without.ply")).points_inserted, 0u);
+}
+
+TEST(RowPacker, WhatAnInsertedPointDoesNotCarryIsNoNumberOrZero) {
+  using stream::ScalarType;
+  const RowPacker rows(true, false, true, true, {{"time", ScalarType::kF64}, {"quality", ScalarType::kF32}, {"scan", ScalarType::kI32}});
+  std::vector<std::byte> row(rows.row_bytes(), std::byte{0x7b});
+  const PointRecord record{0, 0, Vec3f(0.5f, 0.25f, 1), 0.1f, {}, {1, 2, 3}, {0, 0}, 4};
+  const std::byte* end = rows.pack_nothing_carried(rows.pack(record, Vec3d(1, 2, 3), 1, row.data()));
+  EXPECT_EQ(end, row.data() + row.size());
+  const char* at = reinterpret_cast<const char*>(row.data() + row.size()) - 16;
+  EXPECT_TRUE(std::isnan(take<double>(at)));
+  EXPECT_TRUE(std::isnan(take<float>(at)));
+  EXPECT_EQ(take<std::int32_t>(at), 0);
+  at = reinterpret_cast<const char*>(row.data()) + 36;   // three doubles, three floats
+  for (const double linear : {0.5, 0.25, 1.0}) EXPECT_EQ(take<std::uint8_t>(at), srgb(linear));
 }
 
 struct WholeCloud {

@@ -77,6 +77,8 @@ TEST(Insert, NewPointsLieOnThePlaneAndAreEven) {
     EXPECT_GT(static_cast<double>(points.size()), 0.75 * area / (apart * apart));
     EXPECT_LT(static_cast<double>(points.size()), area / (apart * apart));
     EXPECT_GT(nearest_pair(points), 0.8 / 128);
+    for (const NewPoint& p : points)
+      for (const Vec3d& q : cloud.positions) ASSERT_GT((p.from_anchor - q).norm(), 0.499 * apart);
     for (const NewPoint& p : points) {
       ASSERT_NEAR(normal.dot(p.from_anchor), 0, 1e-6);
       ASSERT_NEAR(std::abs(normal.dot(p.normal.cast<double>())), 1, 1e-5);
@@ -140,6 +142,49 @@ TEST(Insert, NoiseOfTheCloudIsAveraged) {
   for (const NewPoint& p : points) square += p.from_anchor.z() * p.from_anchor.z();
   // Some nine discs take part with unlike weights: a third of the deviation would be left with equal ones.
   EXPECT_LT(std::sqrt(square / static_cast<double>(points.size())), 0.5 * std::sqrt(cloud_square / static_cast<double>(cloud.positions.size())));
+}
+
+/// Every point of the cloud once more, `apart` above it, with the normal that is asked for.
+Cloud with_layer(Cloud cloud, double apart, const Vec3f& normal) {
+  for (std::size_t i = 0, n = cloud.positions.size(); i < n; ++i) {
+    cloud.positions.push_back(cloud.positions[i] + Vec3d(0, 0, apart));
+    cloud.normals.push_back(normal);
+  }
+  return cloud;
+}
+
+TEST(Insert, AnotherLayerTakesNoPart) {
+  const Cloud one = plane(Vec3d::UnitZ());
+  const double far = 1.3 * static_cast<double>(one.spacing), near = 0.5 * static_cast<double>(one.spacing);
+  // a sheet above another one, and the two sides of a thin wall
+  for (const auto& [cloud, apart] : {std::pair{with_layer(one, far, Vec3f::UnitZ()), far}, std::pair{with_layer(one, near, -Vec3f::UnitZ()), near}}) {
+    const auto points = cloud.refined(14);
+    ASSERT_GT(points.size(), one.positions.size()) << apart;
+    for (const NewPoint& p : points) {
+      ASSERT_NEAR(std::min(std::abs(p.from_anchor.z()), std::abs(p.from_anchor.z() - apart)), 0, 1e-6);
+      ASSERT_NEAR(std::abs(p.normal.z()), 1, 1e-5);
+    }
+  }
+}
+
+TEST(Insert, NormalsOfUnknownSignAreTurnedAlike) {
+  Cloud cloud;   // a cylinder around y, every other normal turned
+  cloud.oriented = false;
+  const double radius = 0.15, step = static_cast<double>(cloud.spacing);
+  const int around = static_cast<int>(2 * M_PI * radius / step);
+  for (int i = 0; i < around; ++i)
+    for (int k = 0; k < 20; ++k) {
+      const double angle = 2 * M_PI * (i + 0.5 * (k % 2)) / around;
+      const Vec3d normal(std::sin(angle), 0, std::cos(angle));
+      cloud.positions.push_back(radius * normal + Vec3d(0, k * step, 0));
+      cloud.normals.push_back((k % 2 == 0 ? normal : Vec3d(-normal)).cast<float>());
+    }
+  const auto points = cloud.refined(14);
+  ASSERT_GT(points.size(), 100u);
+  for (const NewPoint& p : points) {
+    const Vec3d outwards = Vec3d(p.from_anchor.x(), 0, p.from_anchor.z()).normalized();
+    ASSERT_GT(std::abs(outwards.dot(p.normal.cast<double>())), std::cos(0.05));
+  }
 }
 
 TEST(Insert, TheOtherFaceOfAnEdgeTakesNoPart) {

@@ -158,6 +158,52 @@ TEST(Inspect, WhereClustersAreEverywhereTheLargestOneIsChance) {
   EXPECT_TRUE(conclude(counts).disturbed);
 }
 
+/// Correlations of 0.95 at (2, 0), less by `drop` times the squared distance.
+InspectionCounts with_peak(double drop, std::size_t cells_compared, std::size_t cells_judged) {
+  InspectionCounts counts(640, 480);
+  std::fill_n(counts.compared.begin(), cells_compared, 1u);
+  std::fill_n(counts.judged.begin(), cells_judged, 1u);
+  ShiftCounts& s = counts.parts[4];
+  s.n = 1000;
+  s.rr = 1000000000;
+  s.dd.fill(1000000000);
+  for (int v = -kSearchPx; v <= kSearchPx; ++v)
+    for (int u = -kSearchPx; u <= kSearchPx; ++u)
+      s.rd[static_cast<std::size_t>((v + kSearchPx) * kOffsets + u + kSearchPx)] = std::llround(1e9 * std::max(-0.9, 0.95 - drop * ((u - 2) * (u - 2) + v * v)));
+  return counts;
+}
+
+TEST(Inspect, APeakHasToBeSharpAndOfMoreThanACornerOfThePicture) {
+  const Inspection sharp = conclude(with_peak(0.1, 28, 28));
+  ASSERT_TRUE(sharp.shift_px);
+  EXPECT_NEAR((*sharp.shift_px - Vec2f(2, 0)).norm(), 0, 1e-4);
+  EXPECT_NEAR(sharp.shift_sd_px, std::sqrt((1 - 0.95 * 0.95) / (28 * 0.95 * 0.2)), 1e-4);
+  EXPECT_FALSE(conclude(with_peak(0.02, 28, 28)).shift_px) << "wider than what is searched, though three deviations are less than the shift";
+  EXPECT_FALSE(conclude(with_peak(0.1, 28, 400)).shift_px) << "others show less than a tenth of it";
+}
+
+TEST(Inspect, WhatIsDisturbedLiesInThePictureAndIsMoreThanAFewPoints) {
+  const auto outvoted = [](std::uint32_t judged, std::uint32_t against) {
+    InspectionCounts counts(130, 100);   // cells of 12: the last ones are cut off
+    std::fill(counts.judged.begin(), counts.judged.end(), judged);
+    for (int v = counts.cells_y - 3; v < counts.cells_y; ++v)
+      for (int u = counts.cells_x - 3; u < counts.cells_x; ++u) counts.outvoted[static_cast<std::size_t>(v * counts.cells_x + u)] = against;
+    return conclude(counts).disturbed;
+  };
+  ASSERT_TRUE(outvoted(20, 15));
+  EXPECT_EQ(outvoted(20, 15)->x1, 130);
+  EXPECT_EQ(outvoted(20, 15)->y1, 100);
+  EXPECT_EQ(outvoted(20, 15)->x0, 96);
+  EXPECT_EQ(outvoted(20, 15)->outvoted, 135u);
+  EXPECT_FALSE(outvoted(20, 10)) << "half of them is not most of them";
+  EXPECT_FALSE(outvoted(7, 7)) << "too few are judged in each cell";
+  InspectionCounts large(640, 480);
+  std::fill(large.judged.begin(), large.judged.end(), 300u);
+  for (const int v : {5, 6})
+    for (int u = 5; u < 9; ++u) large.outvoted[static_cast<std::size_t>(v * large.cells_x + u)] = 155;
+  EXPECT_FALSE(conclude(large).disturbed) << "of 650 000 readings 1240 are a few behind a corner";
+}
+
 TEST(Inspect, WhatIsDoneAboutAShift) {
   Inspection i;
   EXPECT_EQ(alignment_for(i).trust, 1);

@@ -25,6 +25,7 @@ AnalyticScene wall_scene() {
 
 class Kept : public ::testing::Test {
  protected:
+  explicit Kept(AnalyticScene scene = wall_scene()) : w(std::move(scene)) {}
   BlendPhotograph at(const std::string& name, double x, const ShotOptions& options = {}) const { return w.photograph(name, Vec3d(x, 0.5, 0.8), Vec3d(x, 0.5, 0), options); }
   /// Twelve along the wall, three and more at each place.
   std::vector<BlendPhotograph> along() const {
@@ -55,7 +56,7 @@ class Kept : public ::testing::Test {
     }
     return on;
   }
-  Workplace w{wall_scene()};
+  Workplace w;
 };
 
 TEST_F(Kept, APhotographMoreCostsWhatItSees) {
@@ -132,6 +133,64 @@ TEST_F(Kept, DisturbancesThatComeAndGoLeaveNothingBehind) {
   expect_same_as_from_the_beginning(photos);
 }
 
+/// The same brightness in every picture, so that what is kept is gone on from whatever comes.
+AnalyticScene even_wall_scene() {
+  AnalyticScene scene = wall_scene();
+  scene.albedo = [](const Vec3d& p) -> Vec3f { return Vec3f::Constant(0.4f + 0.1f * static_cast<float>(std::sin(60 * p.x()) * std::sin(55 * p.y()))); };
+  return scene;
+}
+
+class KeptOfAnEvenWall : public Kept {
+ protected:
+  KeptOfAnEvenWall() : Kept(even_wall_scene()) {}
+  /// Of a blend before, which had no other scale.
+  BlendStats expect_same_after(const std::vector<BlendPhotograph>& photos) const {
+    const BlendStats on = expect_same_as_from_the_beginning(photos);
+    EXPECT_GT(on.leaves_kept, 0u);
+    return on;
+  }
+};
+
+TEST_F(KeptOfAnEvenWall, AFactorThatChangesIsAppliedWhereTheNewPhotographSeesNothing) {
+  // Two groups, each of its own brightness, until a photograph between them tells the factor; a third one has nothing to do with them.
+  std::vector<BlendPhotograph> photos{at("a", 0.3), at("b", 0.5), at("c", 0.7), at("r", 1.9, gained(1.1f)), at("s", 2.1, gained(1.1f))};
+  photos.push_back(at("y", 3.4));
+  photos.push_back(at("z", 3.5));
+  const BlendStats before = keep(photos);
+  for (const std::size_t k : {3u, 4u}) EXPECT_EQ(before.photographs[k].gain[0], 1) << k;
+  photos.push_back(at("between", 1.3));
+  const BlendStats on = expect_same_after(photos);
+  for (const std::size_t k : {3u, 4u}) EXPECT_NEAR(on.photographs[k].gain[0], 1 / 1.1, 0.01) << k;
+}
+
+TEST_F(KeptOfAnEvenWall, AToleranceThatChangesJudgesAnewWhereTheNewPhotographsSeeNothing) {
+  ShotOptions patch;   // a little more than the least tolerance allows
+  patch.paint = [](int x, int, const Vec3f& a) -> Vec3f { return x > 60 && x < 100 ? Vec3f(1.05f * a) : a; };
+  std::vector<BlendPhotograph> photos{at("a", 0.5), at("b", 0.52), at("c", 0.5, patch)};
+  const BlendStats before = keep(photos);
+  for (int k = 0; k < 4; ++k) {
+    ShotOptions uneven;
+    uneven.paint = [k](int x, int, const Vec3f& a) -> Vec3f { return a * (1 + 0.1f * std::sin(0.15f * static_cast<float>(x) + 1.6f * static_cast<float>(k))); };
+    photos.push_back(at("far" + std::to_string(k), 3.4, uneven));
+  }
+  const BlendStats on = expect_same_as_from_the_beginning(photos);
+  EXPECT_GT(on.tolerance.of_votes(), 1.5f * before.tolerance.of_votes());
+}
+
+TEST_F(KeptOfAnEvenWall, APlaceThatIsFoundIsReadAnewWhereTheNewPhotographSeesNothing) {
+  // Of two photographs nobody knows which one lies beside its place. Others far away say how far readings scatter.
+  std::vector<BlendPhotograph> photos{at("a", 0.5), at("b", 0.9)};
+  for (int k = 0; k < 5; ++k) photos.push_back(at("far" + std::to_string(k), 2.6 + 0.2 * k));
+  stream::Camera moved = photos[1].camera;
+  moved.photograph = "moved";
+  moved.lens.cx += 2;
+  photos[1].albedo = shoot(w.scene, moved, w.folder.path()).albedo;
+  keep(photos);
+  photos.push_back(at("c", 0.55));
+  const BlendStats on = expect_same_after(photos);
+  EXPECT_NEAR(on.photographs[1].alignment.shift_px.x(), 2, 0.2);
+}
+
 TEST_F(Kept, OtherOptionsAndDamageBeginAnew) {
   const std::vector<BlendPhotograph> photos = along();
   keep(photos);
@@ -140,6 +199,14 @@ TEST_F(Kept, OtherOptionsAndDamageBeginAnew) {
   options.low_band_px = 6;
   EXPECT_EQ(w.run(photos, options).leaves_kept, 0u);
   keep(photos);
+  {
+    File state(w.folder.path() / "kept/state", File::Mode::kReadWrite);
+    unsigned char byte = 0;
+    state.read_at(state.size() - 100, &byte, 1);
+    byte ^= 4;
+    state.write_at(state.size() - 100, &byte, 1);   // in what is known of the last photograph
+  }
+  EXPECT_EQ(keep(photos).leaves_kept, 0u);
   std::filesystem::resize_file(w.folder.path() / "kept/state", 100);
   EXPECT_EQ(keep(photos).leaves_kept, 0u);
   std::filesystem::remove(w.folder.path() / "kept/votes");

@@ -5,6 +5,7 @@
 #include "blend/accumulate.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "tests/support/sync_watch.h"
 
 namespace chiaro::blend {
 namespace {
@@ -62,6 +63,26 @@ TEST_F(LeafFileTest, ATornWriteFallsBackToTheStateBefore) {
   auto file = open();
   EXPECT_EQ(file.mark(2), (Mark{0, 80}));
   EXPECT_EQ(file.read<Accumulator>(2).surfels[0].low_weight, 1);
+}
+
+TEST_F(LeafFileTest, APowerCutLeavesAStateThatIsWhole) {
+  // A photograph in bands writes a leaf several times before anything is noted as done; the state of the photographs before it must outlive that.
+  const SyncWatch watch(folder.path());
+  for (const int writes : {0, 1, 2, 3}) {
+    std::filesystem::remove(path);
+    {
+      auto file = open();
+      file.write(2, {0, 80}, record_of(2000, 5, 1));
+      file.set_photographs_done(1);
+      for (int i = 1; i <= writes; ++i) file.write(2, {1, 20u * static_cast<std::uint32_t>(i)}, record_of(2000, 5, 1 + static_cast<float>(i)));
+    }
+    watch.cut_power(path);
+    auto file = open();
+    ASSERT_TRUE(file.is_written(2)) << writes;
+    const Mark mark = file.mark(2);
+    EXPECT_GE(mark, (Mark{0, 80})) << writes;
+    EXPECT_EQ(file.read<Accumulator>(2).surfels[1999].low_weight, mark.photograph == 0 ? 1 : 1 + static_cast<float>(mark.row) / 20) << writes;
+  }
 }
 
 TEST_F(LeafFileTest, AnotherKeyStartsAnew) {

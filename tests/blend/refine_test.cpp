@@ -125,6 +125,28 @@ TEST_F(Refine, ResultsDoNotDependOnThreadsMemoryOrOrder) {
   }
 }
 
+TEST_F(Refine, BordersOfChunksLeaveNoTrace) {
+  const auto inserted = [](const Workplace& place) {
+    MemoryBudget budget(kPlenty);
+    const std::filesystem::path path = place.folder.path() / "new.points";
+    const std::vector<BlendPhotograph> photos{place.photograph("a", Vec3d(0.5, 0.5, 1), Vec3d(0.5, 0.5, 0))};
+    find_new_points(*place.store, photos, {}, 1u << 20, path, place.folder.path() / "scratch", budget, silent_reporter());
+    stream::PointBlock block;
+    read_new_points(path)->read(block, 1u << 20);
+    return block.position;
+  };
+  const Workplace parts{fine_paint(), true, 64}, whole{fine_paint(), true, 60000};
+  ASSERT_GT(parts.store->leaves().size(), 8u);
+  ASSERT_EQ(whole.store->leaves().size(), 1u);
+  const std::vector<Vec3d> a = inserted(parts), b = inserted(whole);
+  ASSERT_GT(b.size(), 1000u);
+  // Stored positions differ by their steps: a point or two may fall to another disc.
+  EXPECT_NEAR(static_cast<double>(a.size()), static_cast<double>(b.size()), 0.005 * static_cast<double>(b.size()));
+  std::size_t apart = 0;
+  for (const Vec3d& p : b) apart += std::none_of(a.begin(), a.end(), [&](const Vec3d& q) { return (p - q).norm() < 1e-4; });
+  EXPECT_LE(apart, b.size() / 200);
+}
+
 TEST_F(Refine, WhatIsStoppedGoesOn) {
   const auto photos = photographs();
   find(photos, 5000);
@@ -147,6 +169,16 @@ TEST_F(Refine, FactorsAndPlacesAreTakenFromTheCloudsBlend) {
     if (s.photos == 4) error += static_cast<double>(std::abs(s.albedo[0] - w.scene.albedo(s.position)[0])), ++seen;
   EXPECT_GT(seen, 5000);
   EXPECT_LT(error / seen, 0.012);
+  // They belong to their photographs, in whatever order these come.
+  options.known->alignment[3] = {Vec2f(0.5f, 0), 0.5f};
+  w.run(photos, options);
+  const auto in_order = w.bytes();
+  BlendOptions backwards = options;
+  std::reverse(backwards.known->gain.begin(), backwards.known->gain.end());
+  std::reverse(backwards.known->alignment.begin(), backwards.known->alignment.end());
+  w.run({photos.rbegin(), photos.rend()}, backwards);
+  EXPECT_EQ(w.bytes(), in_order);
+  options.known->alignment[3] = {};
   // And what is said there is believed, also where it is wrong.
   options.known->gain[0] = options.known->gain[1] = options.known->gain[2] = {2, 2, 2};
   options.known->gain[3] = {2 / 1.5, 2 / 1.5, 2 / 1.5};

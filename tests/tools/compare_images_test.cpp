@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <fstream>
+#include <limits>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
@@ -67,6 +68,41 @@ TEST_F(CompareImagesTest, LinearisesEightBitFilesAndSaysSo) {
   EXPECT_NEAR(compare_images(a, exr("c.exr", 12, 12, 1), encoded).mse, std::pow(188 / 255.0 - 1, 2), 1e-6);
 }
 
+TEST_F(CompareImagesTest, LeavesAlphaOutAndKeepsTheChannelsApart) {
+  const fs::path with_alpha = scratch_.path() / "alpha.exr", without = scratch_.path() / "rgb.exr", grey = scratch_.path() / "grey.exr";
+  std::vector<float> rgba, rgb;
+  for (int i = 0; i < 12 * 12; ++i) {
+    rgba.insert(rgba.end(), {0.1f, 0.2f, 0.4f, 0.7f});
+    rgb.insert(rgb.end(), {0.1f, 0.2f, 0.5f});
+  }
+  stream::write_exr(with_alpha, 12, 12, {"R", "G", "B", "A"}, rgba, false);
+  stream::write_exr(without, 12, 12, {"R", "G", "B"}, rgb, false);
+  const ImageComparison r = compare_images(with_alpha, without, {});
+  EXPECT_NEAR(r.mse, 0.01 / 3, 1e-7);
+  EXPECT_NEAR(r.relative_error, 0.2 / 3, 1e-6);
+  stream::write_exr(grey, 12, 12, {"Y"}, std::vector<float>(144, 0.2f), false);
+  EXPECT_NEAR(compare_images(grey, without, {}).mse, (0.01 + 0.09) / 3, 1e-7);
+}
+
+TEST_F(CompareImagesTest, SixteenBitsOfAPngAreEncodedAndFloatsAreNot) {
+  const std::vector<std::uint16_t> values(12 * 12 * 3, 188 * 257);
+  stream::write_png_srgb16(scratch_.path() / "a.png", 12, 12, values);
+  EXPECT_LT(compare_images(scratch_.path() / "a.png", exr("b.exr", 12, 12, 0.5028865f), {}).mse, 1e-12);
+}
+
+TEST_F(CompareImagesTest, HalfOfAMaskIsInAndLessIsNot) {
+  std::vector<float> mask(12 * 12, 0.49f), values(12 * 12 * 3, 0.75f);
+  mask[5] = 0.5f;
+  std::fill_n(values.begin() + 15, 3, 0.5f);
+  stream::write_exr(scratch_.path() / "mask.exr", 12, 12, {"Y"}, mask, false);
+  stream::write_exr(scratch_.path() / "a.exr", 12, 12, {"R", "G", "B"}, values, false);
+  CompareImagesOptions options;
+  options.mask = scratch_.path() / "mask.exr";
+  const ImageComparison r = compare_images(scratch_.path() / "a.exr", exr("b.exr", 12, 12, 0.5f), options);
+  EXPECT_EQ(r.pixels, 1u);
+  for (const double none : {r.mse, r.relative_error, r.flip, r.delta_e}) EXPECT_EQ(none, 0);
+}
+
 TEST_F(CompareImagesTest, TakesWhatIsBeyondWhiteAsWhiteIfAsked) {
   const std::string a = exr("a.exr", 12, 12, 3), b = exr("b.exr", 12, 12, 1.5f), black = exr("black.exr", 12, 12, -0.25f);
   CompareImagesOptions options;
@@ -77,6 +113,10 @@ TEST_F(CompareImagesTest, TakesWhatIsBeyondWhiteAsWhiteIfAsked) {
   EXPECT_EQ(compare_images(a, b, options).mse, 0.25);
   EXPECT_EQ(compare_images(a, b, {}).mse, 2.25);
   EXPECT_TRUE(std::isnan(compare_images(a, exr("nan.exr", 12, 12, std::nanf("")), options).mse));
+  const ImageComparison glaring = compare_images(a, exr("inf.exr", 12, 12, std::numeric_limits<float>::infinity()), options);
+  EXPECT_EQ(glaring.mse, 0);
+  EXPECT_EQ(glaring.not_finite, 0u);   // what is said of the measures holds for what was measured
+  EXPECT_EQ(compare_images(a, (scratch_.path() / "inf.exr").string(), {}).not_finite, 144u);
 }
 
 TEST_F(CompareImagesTest, CountsOnlyMaskedPixels) {

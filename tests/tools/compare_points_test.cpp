@@ -89,6 +89,18 @@ TEST_F(ComparePointsTest, FindsQuantilesOfKnownDifferences) {
   EXPECT_NEAR(r.difference.mean, 0.05005, 1e-6);
 }
 
+TEST_F(ComparePointsTest, ThreePointsByHand) {
+  // A - B: 0.1, 0.2 and -0.6 in all channels; of B = 0.5, but for a channel that is too dark to divide by
+  const PointComparison r = compare_points(albedo_ply("a.ply", {{0.6f, 0.6f, 0.6f}, {0.7f, 0.7f, 0.2005f}, {0.4f, 0.4f, 0.4f}}),
+                                           albedo_ply("b.ply", {{0.5f, 0.5f, 0.5f}, {0.5f, 0.5f, 0.0005f}, {1, 1, 1}}), {}, silent_reporter());
+  EXPECT_NEAR(r.bias, -0.1, 1e-6);
+  EXPECT_NEAR(r.rms, std::sqrt((0.01 + 0.04 + 0.36) / 3), 1e-6);
+  EXPECT_NEAR(r.difference.median, 0.2, 0.2 * 3e-4);
+  EXPECT_NEAR(r.relative.median, 0.4, 0.4 * 3e-4);
+  EXPECT_NEAR(r.relative.max, 0.6, 1e-6);
+  EXPECT_NEAR(r.relative.mean, (0.2 + 0.4 + 0.6) / 3, 1e-6);
+}
+
 TEST_F(ComparePointsTest, IsZeroForTheSameFile) {
   const std::string a = albedo_ply("a.ply", {{0, 0.5f, 1}, {0.2f, 0.3f, 0.4f}});
   const PointComparison r = compare_points(a, a, {}, silent_reporter());
@@ -138,6 +150,31 @@ TEST_F(ComparePointsTest, RefusesWhatCannotBeCompared) {
   EXPECT_THAT(complaint((scratch_.path() / "bare.ply").string(), two), HasSubstr("neither albedo_r"));
   EXPECT_THAT(complaint(two, two, scratch_.path() / "diff.obj"), HasSubstr("diff.obj"));
   EXPECT_FALSE(fs::exists(scratch_.path() / "diff.obj"));
+}
+
+TEST_F(ComparePointsTest, NeverWritesOverWhatIsCompared) {
+  const std::string a = albedo_ply("a.ply", {{0.5f, 0.5f, 0.5f}}), b = albedo_ply("b.ply", {{0.4f, 0.5f, 0.8f}});
+  const std::string before = read_text(a);
+  fs::create_directory(scratch_.path() / "sub");
+  EXPECT_THAT(complaint(a, b, scratch_.path() / "sub/../a.ply"), HasSubstr("is what is compared"));
+  EXPECT_THAT(complaint(b, a, a), HasSubstr("is what is compared"));
+  EXPECT_EQ(read_text(a), before);
+}
+
+TEST_F(ComparePointsTest, PointsStayInStepWhateverTheBlocks) {
+  // A point that a run has inserted stands first in one of the files: its blocks begin and end elsewhere.
+  constexpr int kCount = 140000;   // more than two blocks
+  const auto write = [&](const std::string& name, bool inserted) {
+    std::ofstream out(scratch_.path() / name);
+    out << "ply\nformat ascii 1.0\nelement vertex " << kCount + inserted << "\nproperty float x\nproperty float y\nproperty float z\nproperty float albedo_r\nproperty float albedo_g\nproperty float albedo_b\n"
+        << "property uchar inserted\nend_header\n";
+    if (inserted) out << "0 0 0 9 9 9 1\n";
+    for (int i = 0; i < kCount; ++i) out << "0 0 0 " << i + 1 << " 1 1 0\n";
+    return (scratch_.path() / name).string();
+  };
+  const PointComparison r = compare_points(write("a.ply", true), write("b.ply", false), {}, silent_reporter());
+  EXPECT_EQ(r.points, static_cast<std::uint64_t>(kCount));
+  EXPECT_EQ(r.difference.max, 0);
 }
 
 /// A small store with the layers that a run leaves.
@@ -200,7 +237,16 @@ TEST_F(CompareLayersTest, DrawsTheDifference) {
   const fs::path file = scratch_.path() / "d.png";
   const PointComparison r = compare_points(store.string() + ":day1", store.string() + ":day2", {}, silent_reporter(), file);
   EXPECT_EQ(r.picture_range, 0.5);
-  EXPECT_GT(fs::file_size(file), 500u);
+  const stream::Image drawn = stream::read_image(file);
+  float most_red = -1, least_red = 1;   // beside blue, above the scale: A is brighter all over
+  for (int y = 0; y < drawn.height - 30; ++y)
+    for (int x = 0; x < drawn.width; ++x) {
+      const float* p = &drawn.values[3 * (static_cast<std::size_t>(y) * static_cast<std::size_t>(drawn.width) + static_cast<std::size_t>(x))];
+      most_red = std::max(most_red, p[0] - p[2]);
+      least_red = std::min(least_red, p[0] - p[2]);
+    }
+  EXPECT_GT(most_red, 0.1f);
+  EXPECT_GE(least_red, 0);
   EXPECT_THROW(compare_points(store.string() + ":day1", store.string() + ":day2", {}, silent_reporter(), scratch_.path() / "absent" / "d.png"), Error);
 }
 
@@ -236,6 +282,40 @@ TEST(DifferencePicture, TheNearerPointHidesTheOneBehind) {
   EXPECT_TRUE(picture.width() > 1500 && picture.width() <= 1620);
 }
 
+TEST(DifferencePicture, TheNearerPointHidesTheOneBehindFarFromTheOriginToo) {
+  const Vec3d utm(512000, 5400000, 300);
+  Box3d box;
+  box.extend(utm);
+  box.extend(utm + Vec3d(10, 10, 10));
+  DifferencePicture picture(box, 100000000, 0.1);
+  for (int i = 0; i < 9; ++i) {   // as in the test above, but 20 cm apart
+    picture.add(utm + Vec3d(1 + i, 5.2 + 0.13 * i, 5), -1);
+    picture.add(utm + Vec3d(1 + i, 5 + 0.13 * i, 5), 1);
+  }
+  const Colour red = DifferencePicture::colour(1, 0.1), blue = DifferencePicture::colour(-1, 0.1);
+  int reds = 0, blues = 0;
+  for (int y = 0; y < picture.height() / 2 - 15; ++y)   // the front is the first view; top and bottom stand below
+    for (int x = 0; x < picture.width() / 4; ++x) {
+      reds += picture.pixel(x, y) == red;
+      blues += picture.pixel(x, y) == blue;
+    }
+  EXPECT_EQ(reds, 9);
+  EXPECT_EQ(blues, 0);
+}
+
+TEST(DifferencePicture, PointsAreAsLargeAsTheirSpacing) {
+  Box3d box;
+  box.extend(Vec3d(0, 0, 0));
+  box.extend(Vec3d(1, 1, 1));
+  // 600 points on six faces of a unit cube: 0.1 apart, of 1540 pixels for 4 units; no more than 17 wide
+  DifferencePicture picture(box, 600, 0.1);
+  picture.add(Vec3d(0.5, 0.5, 0.5), 1);
+  int reds = 0;
+  for (int y = 0; y < picture.height() - 30; ++y)
+    for (int x = 0; x < picture.width(); ++x) reds += picture.pixel(x, y) == DifferencePicture::colour(1, 0.1);
+  EXPECT_EQ(reds, 6 * 17 * 17);
+}
+
 TEST(DifferencePicture, FlatAndTinyCloudsHaveAPicture) {
   Box3d point;
   point.extend(Vec3d(5, 5, 5));
@@ -245,11 +325,17 @@ TEST(DifferencePicture, FlatAndTinyCloudsHaveAPicture) {
   DifferencePicture picture(flat, 100, 0.1);
   picture.add(Vec3d(9, 8, 5), 0);
   EXPECT_LT(picture.height(), 2000);
+  Box3d mast = point;
+  mast.extend(Vec3d(5, 5, 100));
+  const DifferencePicture high(mast, 100, 0.1);
+  EXPECT_LT(high.height(), 8000);
+  EXPECT_LE(high.width(), 1620);
 }
 
 TEST(NamesPoints, TellsPicturesFromPoints) {
   EXPECT_TRUE(names_points("a.PLY"));
   EXPECT_TRUE(names_points("truth/albedo.npy"));
+  for (const char* cloud : {"a.laz", "a.e57", "a.ptx", "a.xyzrgb", "a.xyzn"}) EXPECT_TRUE(names_points(cloud)) << cloud;
   EXPECT_TRUE(names_points("x.out:albedo"));
   EXPECT_FALSE(names_points("a.exr"));
   EXPECT_FALSE(names_points("a:"));
