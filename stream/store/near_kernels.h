@@ -57,7 +57,5 @@ struct LaneMoments {
   std::array<LaneFloats, kTerms> sum{};
 };
 void add_moments(const CandidateView& candidates, const LanePoints& points, const LaneFloats& limits, LaneMoments& out);
-/// Within two limits each, the narrow ones no larger.
-void add_moments(const CandidateView& candidates, const LanePoints& points, const LaneFloats& wide_limits, const LaneFloats& narrow_limits, LaneMoments& wide, LaneMoments& narrow);
 
 }  // namespace chiaro::stream
