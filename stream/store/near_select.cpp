@@ -326,17 +326,15 @@ void select_near_box(const CandidateView& c, const Corner& min, const Corner& ma
 void split_near_box(const CandidateView& c, const Corner& min, const Corner& max, float near, float far, Selection& nearer, Selection& farther) {
   [[maybe_unused]] const VectorWidth width = vector_width();
   for (Selection* s : {&nearer, &farther}) {
-    s->reserve(c.num, false, false);
+    s->reserve(c.num, false, c.nx != nullptr);
     s->num = 0;
   }
-  CandidateView positions = c;
-  positions.nx = nullptr;
 #if defined(CHIARO_AVX2)
-  if (width == VectorWidth::kAvx512) split_avx512(positions, min, max, near, far, nearer, farther);
-  else if (width == VectorWidth::kAvx2) split_avx2(positions, min, max, near, far, nearer, farther);
-  else split_plain(positions, min, max, near, far, nearer, farther);
+  if (width == VectorWidth::kAvx512) split_avx512(c, min, max, near, far, nearer, farther);
+  else if (width == VectorWidth::kAvx2) split_avx2(c, min, max, near, far, nearer, farther);
+  else split_plain(c, min, max, near, far, nearer, farther);
 #else
-  split_plain(positions, min, max, near, far, nearer, farther);
+  split_plain(c, min, max, near, far, nearer, farther);
 #endif
   nearer.pad();
   farther.pad();

@@ -26,13 +26,13 @@ CHIARO_INLINE void absolute_of(const Floats& v, Floats& out) {
 }
 
 // What the bodies below compute for a neighbour; with the same operations in the same order.
-bool lines_plain(const CandidateView& c, float px, float py, float pz, float limit, const TangentFrame& f, TangentLines& out) {
+bool lines_plain(const CandidateView& c, const Place& p, float above, float limit, const TangentFrame& f, TangentLines& out) {
   const float reach = f.edge_reach * f.edge_reach;
   bool edge = false;
-  std::size_t n = 0;
+  std::size_t n = out.num;
   for (std::size_t k = 0; k < c.num; ++k) {
-    const float x = c.x[k] - px, y = c.y[k] - py, z = c.z[k] - pz, d = x * x + y * y + z * z;
-    if (!(d <= limit && d > 0)) continue;
+    const float x = c.x[k] - p[0], y = c.y[k] - p[1], z = c.z[k] - p[2], d = x * x + y * y + z * z;
+    if (!(d <= limit && d > above)) continue;
     const float cosine = f.normal[0] * c.nx[k] + f.normal[1] * c.ny[k] + f.normal[2] * c.nz[k], size = std::abs(cosine);
     edge |= size < f.other_face && d <= reach;
     const float towards = f.oriented && c.oriented[k] != 0 ? cosine : size, height = f.normal[0] * x + f.normal[1] * y + f.normal[2] * z;
@@ -46,6 +46,66 @@ bool lines_plain(const CandidateView& c, float px, float py, float pz, float lim
   }
   out.num = n;
   return !edge;
+}
+
+// Offsets of those near, where u, v and wx will stand.
+std::size_t offsets_plain(const CandidateView& c, const Place& p, float above, float limit, TangentLines& out) {
+  std::size_t n = out.num;
+  for (std::size_t k = 0; k < c.num; ++k) {
+    const float x = c.x[k] - p[0], y = c.y[k] - p[1], z = c.z[k] - p[2], d = x * x + y * y + z * z;
+    out.u[n] = x;
+    out.v[n] = y;
+    out.wx[n] = z;
+    n += static_cast<std::size_t>(d <= limit) & static_cast<std::size_t>(d > above);
+  }
+  return n;
+}
+
+// Lines of these.
+template <std::size_t N>
+CHIARO_INLINE void project_body(std::size_t last, const TangentFrame& f, TangentLines& out) {
+  using Floats = typename LaneTypes<N>::Floats;
+  using Mask = typename LaneTypes<N>::Mask;
+  for (std::size_t k = out.num; k < last; k += N) {
+    Floats x, y, z;
+    load(&out.u[k], x);
+    load(&out.v[k], y);
+    load(&out.wx[k], z);
+    const Floats d = x * x + y * y + z * z, height = f.normal[0] * x + f.normal[1] * y + f.normal[2] * z, over = 2.0f / d;
+    const Floats u = f.u[0] * x + f.u[1] * y + f.u[2] * z, v = f.v[0] * x + f.v[1] * y + f.v[2] * z, wx = u * over, wy = v * over;
+    const Mask holds = 4.0f * height * height <= d;
+    store(u, &out.u[k]);
+    store(v, &out.v[k]);
+    store(Floats(holds ? wx : Floats{}), &out.wx[k]);
+    store(Floats(holds ? wy : Floats{}), &out.wy[k]);
+  }
+  out.num = last;
+}
+
+template <std::size_t N>
+CHIARO_INLINE bool alike_body(const CandidateView& c, const Place& n, float least) {
+  using Floats = typename LaneTypes<N>::Floats;
+  using Mask = typename LaneTypes<N>::Mask;
+  Mask turned{};
+  const Floats limit = Floats{} + least;
+  std::size_t k = 0;
+  for (; k + N <= c.num; k += N) {
+    Floats x, y, z, size;
+    Mask oriented;
+    load(c.nx + k, x);
+    load(c.ny + k, y);
+    load(c.nz + k, z);
+    load(c.oriented + k, oriented);
+    const Floats cosine = n[0] * x + n[1] * y + n[2] * z;
+    absolute_of(cosine, size);
+    turned |= ~((oriented ? cosine : size) >= limit);
+  }
+  bool all = !any_of(turned);
+  for (; k < c.num; ++k) {
+    const float cosine = n[0] * c.nx[k] + n[1] * c.ny[k] + n[2] * c.nz[k];
+    all = all && (c.oriented[k] != 0 ? cosine : std::abs(cosine)) >= least;
+  }
+  return all;
 }
 
 template <std::size_t N>
@@ -142,20 +202,38 @@ CHIARO_INLINE void cell_body(const TangentLines& lines, float half, CellCorners&
   corners_body<N>(out);
 }
 
+// Bits of the corners beyond the line (wx, wy) that are not settled.
+std::uint64_t beyond_plain(const CellCorners& c, float wx, float wy) {
+  std::uint64_t mask = 0;
+  for (std::size_t k = 0; k < c.size; ++k) mask |= static_cast<std::uint64_t>((c.squared[k] >= 0) & (wx * c.x[k] + wy * c.y[k] > 1)) << k;
+  return mask;
+}
+
 #if defined(CHIARO_AVX2)
+CHIARO_AVX2 std::uint64_t beyond_avx2(const CellCorners& c, float wx, float wy) {
+  const __m256 dx = _mm256_set1_ps(wx), dy = _mm256_set1_ps(wy);
+  std::uint64_t mask = 0;
+  for (std::size_t k = 0; k < c.size; k += 8) {
+    const __m256 along = _mm256_add_ps(_mm256_mul_ps(dx, _mm256_load_ps(&c.x[k])), _mm256_mul_ps(dy, _mm256_load_ps(&c.y[k])));
+    const __m256 open = _mm256_cmp_ps(_mm256_load_ps(&c.squared[k]), _mm256_setzero_ps(), _CMP_GE_OQ), beyond = _mm256_cmp_ps(along, _mm256_set1_ps(1), _CMP_GT_OQ);
+    mask |= static_cast<std::uint64_t>(static_cast<unsigned>(_mm256_movemask_ps(_mm256_and_ps(open, beyond)))) << k;
+  }
+  return c.size < CellCorners::kMost ? mask & ((std::uint64_t{1} << c.size) - 1) : mask;
+}
+
 CHIARO_AVX2 inline __m256 dot(const std::array<float, 3>& a, __m256 x, __m256 y, __m256 z) {
   return _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(_mm256_set1_ps(a[0]), x), _mm256_mul_ps(_mm256_set1_ps(a[1]), y)), _mm256_mul_ps(_mm256_set1_ps(a[2]), z));
 }
 
-CHIARO_AVX2 bool lines_avx2(const CandidateView& c, float px, float py, float pz, float limit, const TangentFrame& f, TangentLines& out) {
-  const __m256 x0 = _mm256_set1_ps(px), y0 = _mm256_set1_ps(py), z0 = _mm256_set1_ps(pz), most = _mm256_set1_ps(limit), zero = _mm256_setzero_ps();
+CHIARO_AVX2 bool lines_avx2(const CandidateView& c, const Place& p, float above, float limit, const TangentFrame& f, TangentLines& out) {
+  const __m256 x0 = _mm256_set1_ps(p[0]), y0 = _mm256_set1_ps(p[1]), z0 = _mm256_set1_ps(p[2]), most = _mm256_set1_ps(limit), least = _mm256_set1_ps(above);
   const __m256 reach = _mm256_set1_ps(f.edge_reach * f.edge_reach), other_face = _mm256_set1_ps(f.other_face), sign = _mm256_set1_ps(-0.0f);
-  std::size_t n = 0;
+  std::size_t n = out.num;
   int edge = 0;
   for (std::size_t k = 0; k < c.num; k += 8) {
     const __m256 x = _mm256_sub_ps(_mm256_loadu_ps(c.x + k), x0), y = _mm256_sub_ps(_mm256_loadu_ps(c.y + k), y0), z = _mm256_sub_ps(_mm256_loadu_ps(c.z + k), z0);
     const __m256 d = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(x, x), _mm256_mul_ps(y, y)), _mm256_mul_ps(z, z));
-    const __m256 near = _mm256_and_ps(_mm256_cmp_ps(d, most, _CMP_LE_OQ), _mm256_cmp_ps(d, zero, _CMP_GT_OQ));
+    const __m256 near = _mm256_and_ps(_mm256_cmp_ps(d, most, _CMP_LE_OQ), _mm256_cmp_ps(d, least, _CMP_GT_OQ));
     const auto mask = static_cast<unsigned>(_mm256_movemask_ps(near));
     if (mask == 0) continue;
     const __m256 cosine = dot(f.normal, _mm256_loadu_ps(c.nx + k), _mm256_loadu_ps(c.ny + k), _mm256_loadu_ps(c.nz + k)), size = _mm256_andnot_ps(sign, cosine);
@@ -175,6 +253,23 @@ CHIARO_AVX2 bool lines_avx2(const CandidateView& c, float px, float py, float pz
   return edge == 0;
 }
 
+CHIARO_AVX2 std::size_t offsets_avx2(const CandidateView& c, const Place& p, float above, float limit, TangentLines& out) {
+  const __m256 x0 = _mm256_set1_ps(p[0]), y0 = _mm256_set1_ps(p[1]), z0 = _mm256_set1_ps(p[2]), most = _mm256_set1_ps(limit), least = _mm256_set1_ps(above);
+  std::size_t n = out.num;
+  for (std::size_t k = 0; k < c.num; k += 8) {
+    const __m256 x = _mm256_sub_ps(_mm256_loadu_ps(c.x + k), x0), y = _mm256_sub_ps(_mm256_loadu_ps(c.y + k), y0), z = _mm256_sub_ps(_mm256_loadu_ps(c.z + k), z0);
+    const __m256 d = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(x, x), _mm256_mul_ps(y, y)), _mm256_mul_ps(z, z));
+    const auto mask = static_cast<unsigned>(_mm256_movemask_ps(_mm256_and_ps(_mm256_cmp_ps(d, most, _CMP_LE_OQ), _mm256_cmp_ps(d, least, _CMP_GT_OQ))));
+    const __m256i order = compression_of(mask);
+    _mm256_storeu_ps(&out.u[n], _mm256_permutevar8x32_ps(x, order));
+    _mm256_storeu_ps(&out.v[n], _mm256_permutevar8x32_ps(y, order));
+    _mm256_storeu_ps(&out.wx[n], _mm256_permutevar8x32_ps(z, order));
+    n += static_cast<std::size_t>(_mm_popcnt_u32(mask));
+  }
+  return n;
+}
+CHIARO_AVX2 void project_avx2(std::size_t last, const TangentFrame& f, TangentLines& out) { project_body<8>(last, f, out); }
+CHIARO_AVX2 bool alike_avx2(const CandidateView& c, const Place& n, float least) { return alike_body<8>(c, n, least); }
 CHIARO_AVX2 bool beyond_avx2(const TangentLines& lines, float x, float y, float distance) { return beyond_body<8>(lines, x, y, distance); }
 CHIARO_AVX2 void cell_avx2(const TangentLines& lines, float half, CellCorners& out) { cell_body<8>(lines, half, out); }
 
@@ -213,15 +308,15 @@ CHIARO_AVX512 inline __m512 dot(const std::array<float, 3>& a, __m512 x, __m512 
   return _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(_mm512_set1_ps(a[0]), x), _mm512_mul_ps(_mm512_set1_ps(a[1]), y)), _mm512_mul_ps(_mm512_set1_ps(a[2]), z));
 }
 
-CHIARO_AVX512 bool lines_avx512(const CandidateView& c, float px, float py, float pz, float limit, const TangentFrame& f, TangentLines& out) {
-  const __m512 x0 = _mm512_set1_ps(px), y0 = _mm512_set1_ps(py), z0 = _mm512_set1_ps(pz), most = _mm512_set1_ps(limit), zero = _mm512_setzero_ps();
+CHIARO_AVX512 bool lines_avx512(const CandidateView& c, const Place& p, float above, float limit, const TangentFrame& f, TangentLines& out) {
+  const __m512 x0 = _mm512_set1_ps(p[0]), y0 = _mm512_set1_ps(p[1]), z0 = _mm512_set1_ps(p[2]), most = _mm512_set1_ps(limit), least = _mm512_set1_ps(above);
   const __m512 reach = _mm512_set1_ps(f.edge_reach * f.edge_reach), other_face = _mm512_set1_ps(f.other_face);
-  std::size_t n = 0;
+  std::size_t n = out.num;
   unsigned edge = 0;
   for (std::size_t k = 0; k < c.num; k += 16) {
     const __m512 x = _mm512_sub_ps(_mm512_loadu_ps(c.x + k), x0), y = _mm512_sub_ps(_mm512_loadu_ps(c.y + k), y0), z = _mm512_sub_ps(_mm512_loadu_ps(c.z + k), z0);
     const __m512 d = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(x, x), _mm512_mul_ps(y, y)), _mm512_mul_ps(z, z));
-    const __mmask16 mask = _mm512_mask_cmp_ps_mask(_mm512_cmp_ps_mask(d, most, _CMP_LE_OQ), d, zero, _CMP_GT_OQ);
+    const __mmask16 mask = _mm512_mask_cmp_ps_mask(_mm512_cmp_ps_mask(d, most, _CMP_LE_OQ), d, least, _CMP_GT_OQ);
     const __m512 cosine = dot(f.normal, _mm512_loadu_ps(c.nx + k), _mm512_loadu_ps(c.ny + k), _mm512_loadu_ps(c.nz + k)), size = _mm512_abs_ps(cosine);
     edge |= _mm512_mask_cmp_ps_mask(_mm512_mask_cmp_ps_mask(mask, size, other_face, _CMP_LT_OQ), d, reach, _CMP_LE_OQ);
     __m512 towards = size;
@@ -241,6 +336,22 @@ CHIARO_AVX512 bool lines_avx512(const CandidateView& c, float px, float py, floa
   out.num = n;
   return edge == 0;
 }
+
+CHIARO_AVX512 std::size_t offsets_avx512(const CandidateView& c, const Place& p, float above, float limit, TangentLines& out) {
+  const __m512 x0 = _mm512_set1_ps(p[0]), y0 = _mm512_set1_ps(p[1]), z0 = _mm512_set1_ps(p[2]), most = _mm512_set1_ps(limit), least = _mm512_set1_ps(above);
+  std::size_t n = out.num;
+  for (std::size_t k = 0; k < c.num; k += 16) {
+    const __m512 x = _mm512_sub_ps(_mm512_loadu_ps(c.x + k), x0), y = _mm512_sub_ps(_mm512_loadu_ps(c.y + k), y0), z = _mm512_sub_ps(_mm512_loadu_ps(c.z + k), z0);
+    const __m512 d = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(x, x), _mm512_mul_ps(y, y)), _mm512_mul_ps(z, z));
+    const __mmask16 mask = _mm512_mask_cmp_ps_mask(_mm512_cmp_ps_mask(d, most, _CMP_LE_OQ), d, least, _CMP_GT_OQ);
+    _mm512_storeu_ps(&out.u[n], _mm512_maskz_compress_ps(mask, x));
+    _mm512_storeu_ps(&out.v[n], _mm512_maskz_compress_ps(mask, y));
+    _mm512_storeu_ps(&out.wx[n], _mm512_maskz_compress_ps(mask, z));
+    n += static_cast<std::size_t>(_mm_popcnt_u32(mask));
+  }
+  return n;
+}
+CHIARO_AVX512 void project_avx512(std::size_t last, const TangentFrame& f, TangentLines& out) { project_body<16>(last, f, out); }
 
 CHIARO_AVX512 bool beyond_avx512(const TangentLines& lines, float x, float y, float distance) {
   const __m512 dx = _mm512_set1_ps(x), dy = _mm512_set1_ps(y), far = _mm512_set1_ps(distance);
@@ -291,18 +402,41 @@ CHIARO_AVX512 std::size_t farthest_avx512(const CellCorners& c) {
 
 }  // namespace
 
-bool TangentLines::make(const CandidateView& c, float x, float y, float z, float limit, const TangentFrame& frame) {
-  if (u.size() < c.num + 2 * kLanes)
-    for (std::vector<float>* values : {&u, &v, &wx, &wy}) values->resize(c.num + 2 * kLanes);
+namespace {
+
+bool add_lines(const CandidateView& c, const Place& p, float above, float limit, const TangentFrame& frame, TangentLines& out) {
 #if defined(CHIARO_AVX2)
-  const bool smooth = vector_width() == VectorWidth::kAvx512 ? lines_avx512(c, x, y, z, limit, frame, *this)
-                      : vector_width() == VectorWidth::kAvx2 ? lines_avx2(c, x, y, z, limit, frame, *this)
-                                                             : lines_plain(c, x, y, z, limit, frame, *this);
-#else
-  const bool smooth = lines_plain(c, x, y, z, limit, frame, *this);
+  if (vector_width() == VectorWidth::kAvx512) return lines_avx512(c, p, above, limit, frame, out);
+  if (vector_width() == VectorWidth::kAvx2) return lines_avx2(c, p, above, limit, frame, out);
 #endif
+  return lines_plain(c, p, above, limit, frame, out);
+}
+
+void add_smooth_lines(const CandidateView& c, const Place& p, float above, float limit, const TangentFrame& frame, TangentLines& out) {
+#if defined(CHIARO_AVX2)
+  if (vector_width() == VectorWidth::kAvx512) return project_avx512(offsets_avx512(c, p, above, limit, out), frame, out);
+  if (vector_width() == VectorWidth::kAvx2) return project_avx2(offsets_avx2(c, p, above, limit, out), frame, out);
+#endif
+  project_body<8>(offsets_plain(c, p, above, limit, out), frame, out);
+}
+
+}  // namespace
+
+bool TangentLines::add(const CandidateView& c, const Place& point, float above, float limit, const TangentFrame& frame) {
+  if (u.size() < num + c.num + 2 * kLanes)
+    for (std::vector<float>* values : {&u, &v, &wx, &wy}) values->resize(num + c.num + 2 * kLanes);
+  bool smooth = true;
+  if (c.nx) smooth = add_lines(c, point, above, limit, frame, *this);
+  else add_smooth_lines(c, point, above, limit, frame, *this);
   for (std::vector<float>* values : {&u, &v, &wx, &wy}) std::fill_n(values->begin() + static_cast<std::ptrdiff_t>(num), kLanes, 0.0f);
   return smooth;
+}
+
+bool all_alike(const CandidateView& c, const Place& normal, float least) {
+#if defined(CHIARO_AVX2)
+  if (vector_width() >= VectorWidth::kAvx2) return alike_avx2(c, normal, least);
+#endif
+  return alike_body<8>(c, normal, least);
 }
 
 bool TangentLines::is_beyond(float x, float y, float distance) const {
@@ -329,6 +463,35 @@ void CellCorners::set(std::size_t at, float ax_, float ay_, float bx_, float by_
   x[at] = (by_ - ay_) / cross;
   y[at] = (ax_ - bx_) / cross;
   squared[at] = cross > 0 ? x[at] * x[at] + y[at] * y[at] : kInfinity;
+}
+
+bool CellCorners::cut(std::size_t at, float wx, float wy) {
+#if defined(CHIARO_AVX2)
+  std::uint64_t beyond = vector_width() >= VectorWidth::kAvx2 ? beyond_avx2(*this, wx, wy) : beyond_plain(*this, wx, wy);
+#else
+  std::uint64_t beyond = beyond_plain(*this, wx, wy);
+#endif
+  beyond &= ~(std::uint64_t{1} << at);
+  // Those next to it on either side, then next to these.
+  float first_x = ax[at], first_y = ay[at], last_x = bx[at], last_y = by[at];
+  std::size_t free = size;
+  for (std::uint64_t left = beyond; left != 0;) {
+    const auto k = static_cast<std::size_t>(__builtin_ctzll(left));
+    left &= left - 1;
+    const bool before = bx[k] == first_x && by[k] == first_y, after = ax[k] == last_x && ay[k] == last_y;
+    if (!before && !after) continue;
+    if (before) first_x = ax[k], first_y = ay[k];
+    else last_x = bx[k], last_y = by[k];
+    squared[k] = -1;
+    free = k;
+    beyond &= ~(std::uint64_t{1} << k);
+    left = beyond;
+  }
+  if (free == kMost) return false;
+  if (free == size) ++size;
+  set(free, wx, wy, last_x, last_y);
+  set(at, first_x, first_y, wx, wy);
+  return true;
 }
 
 std::size_t CellCorners::farthest() const {
