@@ -38,7 +38,8 @@ struct EightBoxes {
 };
 using BoxLevels = std::vector<std::vector<EightBoxes>>;
 inline constexpr std::size_t kBoxedPoints = 16;
-/// Appends the points within sqrt(limit) of a box, in their order, with their index, without normals. points: whole groups, padded with far ones.
+/// Appends the points within sqrt(limit) of a box, in their order, with their index and normals if the selection has them; the signs of these only if the points tell.
+/// points: whole groups, padded with far ones.
 void select_from_tree(const CandidateView& points, const BoxLevels& levels, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out);
 
 /// The candidates within sqrt(limit) of the point but not on its spot, in their order.

@@ -177,6 +177,7 @@ std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const Chun
   c.first_slot.resize(c.size + 1);
   resize(whole_groups(c.size));
   for (std::vector<float>* v : {&c.x, &c.y, &c.z}) std::fill(v->begin() + c.size, v->end(), kFar);
+  c.any_oriented = std::any_of(c.flags.begin(), c.flags.begin() + c.size, [](std::uint8_t flags) { return (flags & SurfelBlock::kOriented) != 0; });
   build_levels(c);
   return chunk;
 }
@@ -247,16 +248,16 @@ void Neighbourhood::find_near(float radius) {
 
 void Neighbourhood::gather_from(const HaloChunk& c, const FlatBox& box, float radius, const Vec3d* shift, Selection& out) {
   const std::size_t first = out.num;
-  select_from_tree({c.x.data(), c.y.data(), c.z.data(), c.x.size()}, c.levels, box.min, box.max, radius * radius, out);
+  CandidateView points{c.x.data(), c.y.data(), c.z.data(), c.x.size()};
   if (out.has_normals) {
-    for (std::size_t i = first; i < out.num; ++i) {
-      const std::size_t from = out.index[i];
-      out.nx[i] = c.nx[from];
-      out.ny[i] = c.ny[from];
-      out.nz[i] = c.nz[from];
-      out.oriented[i] = 0u - static_cast<std::uint32_t>((c.flags[from] & SurfelBlock::kOriented) != 0);
-    }
+    points.nx = c.nx.data();
+    points.ny = c.ny.data();
+    points.nz = c.nz.data();
   }
+  select_from_tree(points, c.levels, box.min, box.max, radius * radius, out);
+  if (out.has_normals && !c.any_oriented) std::fill(out.oriented.begin() + static_cast<std::ptrdiff_t>(first), out.oriented.begin() + static_cast<std::ptrdiff_t>(out.num), 0u);
+  if (out.has_normals && c.any_oriented)
+    for (std::size_t i = first; i < out.num; ++i) out.oriented[i] = 0u - static_cast<std::uint32_t>((c.flags[out.index[i]] & SurfelBlock::kOriented) != 0);
   if (!shift) return;
   for (std::size_t i = first; i < out.num; ++i) {
     out.x[i] = static_cast<float>(shift->x() + out.x[i]);
@@ -268,7 +269,7 @@ void Neighbourhood::gather_from(const HaloChunk& c, const FlatBox& box, float ra
 void Neighbourhood::gather(const FlatBox& box, float radius, bool with_normals, Selection& out) {
   if (radius > near_radius_) find_near(2 * radius);
   out.num = 0;
-  out.reserve(0, true, with_normals);
+  out.reserve(0, with_normals, with_normals);   // by which it is looked up whether signs are known
   gather_from(*own_, box, radius, nullptr, out);
   for (const Near& n : near_) {
     if (gap_squared(n.box, box) > radius * radius) continue;

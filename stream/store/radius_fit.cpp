@@ -28,10 +28,15 @@ class RadiusFitter {
   void fit_nearest(const SearchGroup& group, const CandidateView& nearer, float near, const CandidateView& farther, float wide, std::array<bool, kLanes>& fitted) {
     const std::array<const CandidateView*, 2> both{&nearer, &farther};
     // All lines first, then all cells: what has just been written in pieces is slow to read as a whole.
-    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = start_lines(group, at, both, near, wide);
+    std::array<float, kLanes> settled{};
+    std::array<bool, kLanes> started{};
+    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = nearer.nx ? start_lines(group, at, both, near, wide) : start_smooth(group, at, nearer, near, wide, settled[at], started[at]);
     for (std::size_t at = 0; at < group.size(); ++at)
-      if (fitted[at]) start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
-    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = fitted[at] && fit_inside(group, at, both);
+      if (fitted[at] && !started[at]) start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
+    for (std::size_t at = 0; at < group.size(); ++at) {
+      if (settled[at] > 0 && fitted[at]) set_inside(group, at, settled[at]);
+      else fitted[at] = fitted[at] && fit_inside(group, at, both);
+    }
   }
 
   bool fit_near(const SearchGroup& group, std::size_t at, const CandidateView& view, const Selection& c) {
@@ -90,19 +95,40 @@ class RadiusFitter {
     float seen() const { return saw_all() ? kAllNeighbours : now; }
   };
 
-  // Lines to the nearest, of which the first view has all up to `near`. False for what fit_inside() is not for: other faces, and crowds of which not all count.
-  bool start_lines(const SearchGroup& group, std::size_t at, Views views, float near, float wide) {
+  // False for what fit_inside() is not for.
+  bool begin(const SearchGroup& group, std::size_t at, float edge_reach, float wide) {
     const std::size_t i = group.begin + at;
-    const float radius = group.radius[at], edge_reach = views[0]->nx ? kEdgeReach * group.mean[at] : 0;
-    Reach& reach = reaches_[at];
-    reach = {0, std::min(wide, radius), radius <= wide};
-    if (radius == 0 || (own_.flags[i] & SurfelBlock::kIsolated) || edge_reach > reach.most) return false;
+    const float radius = group.radius[at];
+    reaches_[at] = {0, std::min(wide, radius), radius <= wide};
+    if (radius == 0 || (own_.flags[i] & SurfelBlock::kIsolated) || edge_reach > reaches_[at].most) return false;
     frames_[at] = frame_of(i, edge_reach);
+    return true;
+  }
+
+  // There are so many within what has been looked at that of all probably not all count.
+  bool is_crowded(const SearchGroup& group, std::size_t at) const {
+    const float share = reaches_[at].now / group.radius[at];
+    return static_cast<float>(lines_[at].num) > share * share * static_cast<float>(options_.most);
+  }
+
+  // Lines to the nearest, of which the first view has all up to `near`. False for other faces and crowds, too.
+  bool start_lines(const SearchGroup& group, std::size_t at, Views views, float near, float wide) {
+    const float edge_reach = views[0]->nx ? kEdgeReach * group.mean[at] : 0;
+    if (!begin(group, at, edge_reach, wide)) return false;
     lines_[at].clear();
-    if (!add_lines(group, at, views.first(1), std::min({near, reach.most, std::max(kFirstShare * radius, edge_reach)}))) return false;
-    if (edge_reach > reach.now && !add_lines(group, at, views, reach.most)) return false;
-    const float share = reach.now / radius;
-    return static_cast<float>(lines_[at].num) <= share * share * static_cast<float>(options_.most);
+    if (!add_lines(group, at, views.first(1), std::min({near, reaches_[at].most, std::max(kFirstShare * group.radius[at], edge_reach)}))) return false;
+    if (edge_reach > reaches_[at].now && !add_lines(group, at, views, reaches_[at].most)) return false;
+    return !is_crowded(group, at);
+  }
+
+  // The same where there are no other faces. What else was done on the way: the cell started, or even the corner settled.
+  bool start_smooth(const SearchGroup& group, std::size_t at, const CandidateView& nearer, float near, float wide, float& settled, bool& started) {
+    if (!begin(group, at, 0, wide)) return false;
+    const std::size_t i = group.begin + at;
+    const float scale = scale_of(group, at), reach = std::min({near, reaches_[at].most, kFirstShare * group.radius[at]});
+    settled = nearest_corner(nearer, {own_.x[i], own_.y[i], own_.z[i]}, reach, frames_[at], 3 * scale, scale, lines_[at], cells_[at], started);
+    reaches_[at].now = reach;
+    return !is_crowded(group, at);
   }
 
   // Those further away than has been looked at. False if one is on another face.
@@ -134,13 +160,17 @@ class RadiusFitter {
       const Corner corner = farthest_corner(lines_[at], cells_[at], 3 * scale);
       const float d = corner.distance;
       if (d > 0 && 2 * d <= reach.seen() && (d <= scale || lines_[at].is_beyond(corner.x / d, corner.y / d, d))) {
-        fits_[group.begin + at] = RadiusFit{};
-        fits_[group.begin + at].mean_of_nearest = group.mean[at];
-        fits_[group.begin + at].radius = disc_radius(d, scale, false);
+        set_inside(group, at, d);
         return true;
       }
       if (reach.now == reach.most || !add_lines(group, at, views, reach.most) || lines_[at].num > options_.most) return false;
     }
+  }
+
+  void set_inside(const SearchGroup& group, std::size_t at, float corner_distance) {
+    fits_[group.begin + at] = RadiusFit{};
+    fits_[group.begin + at].mean_of_nearest = group.mean[at];
+    fits_[group.begin + at].radius = disc_radius(corner_distance, scale_of(group, at), false);
   }
 
   // Two unit vectors across the normal. source: Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 2017.
@@ -293,8 +323,10 @@ class RadiusFitter {
     const float scale = std::max(mean, list.radius < options_.max_radius ? list.radius / static_cast<float>(options_.radius_spacings) : 0.0f);
     const Face face{own_normal(i), (own_.flags[i] & SurfelBlock::kOriented) != 0};
     project(face, list);
-    TangentCell cell = cell_of(face, list, c, scale, false);
-    if (is_ridge(face, list, c, kEdgeReach * mean) || (!cell.bounded() && few_on_face(face, list, c))) cell = cell_of(face, list, c, scale, true);
+    bool of_all = true;
+    TangentCell cell = cell_of(face, list, c, scale, false, of_all);
+    if (!of_all && (is_ridge(face, list, c, kEdgeReach * mean) || (!cell.bounded() && few_on_face(face, list, c)))) cell = cell_of(face, list, c, scale, true, of_all);
+    const float farthest_of_all = of_all ? cell.farthest_squared() : -1;
     float within = 0;   // the farthest corner that lies inside the surface
     bool open = false;
     bool clipped = cut_cell(i, face, scale, cell, within, open);
@@ -303,7 +335,8 @@ class RadiusFitter {
     const float radius = std::min(disc_radius(within, scale, open), std::max(kLeastOnRidge, far_edge_ / mean + kOverFarEdge) * mean);
     if (radius <= kMostBeyondAll * scale) return radius;
     // Near an edge the disc reaches over what belongs to points of the other face, but not as far as those that stand out of the surface would.
-    return std::min(radius, std::max(scale, kMostBeyondAll * 1.1f * std::sqrt(cell_of(face, list, c, scale, true).farthest_squared())));
+    const float farthest = farthest_of_all >= 0 ? farthest_of_all : cell_of(face, list, c, scale, true, of_all).farthest_squared();
+    return std::min(radius, std::max(scale, kMostBeyondAll * 1.1f * std::sqrt(farthest)));
   }
 
   // Ends the cell where the disc ends; does it reach that far?
@@ -380,14 +413,19 @@ class RadiusFitter {
     return static_cast<float>(counts.on_face) < kRidgeShare * static_cast<float>(counts.near);
   }
 
-  TangentCell cell_of(const Face& face, const NeighbourList& list, const Selection& c, float scale, bool use_all) const {
+  // of_all: nobody was left out.
+  TangentCell cell_of(const Face& face, const NeighbourList& list, const Selection& c, float scale, bool use_all, bool& of_all) const {
     TangentCell cell(3 * scale);
+    of_all = true;
     for (std::size_t k = 0; k < list.size(); ++k) {
       const float distance_squared = list.distance_squared[k];
       if (distance_squared > 4 * cell.farthest_squared()) continue;
       // The tangent plane meets the plane half-way between the two points where offset . x = distance^2 / 2.
       if (!cell.cuts(tangent_u_[k], tangent_v_[k], 0.5f * distance_squared)) continue;
-      if (!use_all && !face.holds(list.offset(k), distance_squared, list.candidate[k], c)) continue;
+      if (!use_all && !face.holds(list.offset(k), distance_squared, list.candidate[k], c)) {
+        of_all = false;
+        continue;
+      }
       cell.clip(tangent_u_[k], tangent_v_[k], 0.5f * distance_squared);
     }
     return cell;

@@ -274,34 +274,70 @@ CHIARO_AVX2 bool beyond_avx2(const TangentLines& lines, float x, float y, float 
 CHIARO_AVX2 void cell_avx2(const TangentLines& lines, float half, CellCorners& out) { cell_body<8>(lines, half, out); }
 
 
-// What cell_body() does; the next line comes from the register.
-CHIARO_AVX512 void cell_avx512(const TangentLines& lines, float half, CellCorners& out) {
-  const __m512 c = _mm512_loadu_ps(kCos), s = _mm512_loadu_ps(kSin), over_half = _mm512_set1_ps(1 / half);
-  __m512 ax = _mm512_mul_ps(_mm512_loadu_ps(kSquareX), over_half), ay = _mm512_mul_ps(_mm512_loadu_ps(kSquareY), over_half);
-  __m512 best = _mm512_add_ps(_mm512_mul_ps(c, ax), _mm512_mul_ps(s, ay));
-  for (std::size_t k = 0; k < lines.num; ++k) {
-    const __m512 wx = _mm512_set1_ps(lines.wx[k]), wy = _mm512_set1_ps(lines.wy[k]), along = _mm512_add_ps(_mm512_mul_ps(c, wx), _mm512_mul_ps(s, wy));
+// What directions_body() does: of all lines taken, and of the square, the one met first in each direction.
+struct DirectionVectors {
+  __m512 c, s, ax, ay, best;
+  CHIARO_AVX512 explicit DirectionVectors(float half) {
+    const __m512 over_half = _mm512_set1_ps(1 / half);
+    c = _mm512_loadu_ps(kCos);
+    s = _mm512_loadu_ps(kSin);
+    ax = _mm512_mul_ps(_mm512_loadu_ps(kSquareX), over_half);
+    ay = _mm512_mul_ps(_mm512_loadu_ps(kSquareY), over_half);
+    best = _mm512_add_ps(_mm512_mul_ps(c, ax), _mm512_mul_ps(s, ay));
+  }
+  CHIARO_AVX512 void take(float wx_, float wy_) {
+    const __m512 wx = _mm512_set1_ps(wx_), wy = _mm512_set1_ps(wy_), along = _mm512_add_ps(_mm512_mul_ps(c, wx), _mm512_mul_ps(s, wy));
     const __mmask16 nearer = _mm512_cmp_ps_mask(along, best, _CMP_GT_OQ);
     best = _mm512_max_ps(along, best);
     ax = _mm512_mask_mov_ps(ax, nearer, wx);
     ay = _mm512_mask_mov_ps(ay, nearer, wy);
   }
+};
+
+struct CornerVectors {
+  __m512 ax, ay, bx, by, x, y, squared;
+  // As CellCorners::set().
+  CHIARO_AVX512 void set(__mmask16 at, float ax_, float ay_, float bx_, float by_) {
+    const float cross = ax_ * by_ - ay_ * bx_, x_ = (by_ - ay_) / cross, y_ = (ax_ - bx_) / cross;
+    ax = _mm512_mask_mov_ps(ax, at, _mm512_set1_ps(ax_));
+    ay = _mm512_mask_mov_ps(ay, at, _mm512_set1_ps(ay_));
+    bx = _mm512_mask_mov_ps(bx, at, _mm512_set1_ps(bx_));
+    by = _mm512_mask_mov_ps(by, at, _mm512_set1_ps(by_));
+    x = _mm512_mask_mov_ps(x, at, _mm512_set1_ps(x_));
+    y = _mm512_mask_mov_ps(y, at, _mm512_set1_ps(y_));
+    squared = _mm512_mask_mov_ps(squared, at, _mm512_set1_ps(cross > 0 ? x_ * x_ + y_ * y_ : kInfinity));
+  }
+  CHIARO_AVX512 void store(CellCorners& out) const {
+    _mm512_store_ps(&out.ax[0], ax);
+    _mm512_store_ps(&out.ay[0], ay);
+    _mm512_store_ps(&out.bx[0], bx);
+    _mm512_store_ps(&out.by[0], by);
+    _mm512_store_ps(&out.x[0], x);
+    _mm512_store_ps(&out.y[0], y);
+    _mm512_store_ps(&out.squared[0], squared);
+    out.size = CellCorners::kDirections;
+  }
+};
+
+// What corners_body() does; the next line comes from the register.
+CHIARO_AVX512 inline void corners_of(const DirectionVectors& lines, CornerVectors& out) {
   const __m512i next = _mm512_setr_epi32(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 0);
-  const __m512 bx = _mm512_permutexvar_ps(next, ax), by = _mm512_permutexvar_ps(next, ay);
+  const __m512 ax = lines.ax, ay = lines.ay, bx = _mm512_permutexvar_ps(next, ax), by = _mm512_permutexvar_ps(next, ay);
   const __m512 cross = _mm512_sub_ps(_mm512_mul_ps(ax, by), _mm512_mul_ps(ay, bx)), over = _mm512_div_ps(_mm512_set1_ps(1), cross);
   const __m512 x = _mm512_mul_ps(_mm512_sub_ps(by, ay), over), y = _mm512_mul_ps(_mm512_sub_ps(ax, bx), over);
   const __mmask16 same = _mm512_mask_cmp_ps_mask(_mm512_cmp_ps_mask(ax, bx, _CMP_EQ_OQ), ay, by, _CMP_EQ_OQ), meet = _mm512_cmp_ps_mask(cross, _mm512_setzero_ps(), _CMP_GT_OQ);
   __m512 squared = _mm512_add_ps(_mm512_mul_ps(x, x), _mm512_mul_ps(y, y));
   squared = _mm512_mask_mov_ps(_mm512_set1_ps(kInfinity), meet, squared);
   squared = _mm512_mask_mov_ps(squared, same, _mm512_set1_ps(-1));
-  _mm512_store_ps(&out.ax[0], ax);
-  _mm512_store_ps(&out.ay[0], ay);
-  _mm512_store_ps(&out.bx[0], bx);
-  _mm512_store_ps(&out.by[0], by);
-  _mm512_store_ps(&out.x[0], x);
-  _mm512_store_ps(&out.y[0], y);
-  _mm512_store_ps(&out.squared[0], squared);
-  out.size = CellCorners::kDirections;
+  out = {ax, ay, bx, by, x, y, squared};
+}
+
+CHIARO_AVX512 void cell_avx512(const TangentLines& lines, float half, CellCorners& out) {
+  DirectionVectors best(half);
+  for (std::size_t k = 0; k < lines.num; ++k) best.take(lines.wx[k], lines.wy[k]);
+  CornerVectors corners;
+  corners_of(best, corners);
+  corners.store(out);
 }
 
 CHIARO_AVX512 inline __m512 dot(const std::array<float, 3>& a, __m512 x, __m512 y, __m512 z) {
@@ -398,6 +434,113 @@ CHIARO_AVX512 std::size_t farthest_avx512(const CellCorners& c) {
   }
   return first_of_largest(best, which);
 }
+
+// Lines in two registers.
+struct LineVectors {
+  __m512 u[2], v[2], wx[2], wy[2];
+};
+
+// As offsets_avx512() and project_body(), from nothing. Returns how many there are; more than 32: not all are there.
+CHIARO_AVX512 inline std::size_t few_lines(const CandidateView& c, const Place& p, float limit, const TangentFrame& f, LineVectors& out) {
+  alignas(64) float x[4 * kLanes], y[4 * kLanes], z[4 * kLanes];
+  const __m512 x0 = _mm512_set1_ps(p[0]), y0 = _mm512_set1_ps(p[1]), z0 = _mm512_set1_ps(p[2]), most = _mm512_set1_ps(limit), zero = _mm512_setzero_ps();
+  std::size_t n = 0;
+  for (std::size_t k = 0; k < c.num && n <= 2 * kLanes; k += 16) {
+    const __m512 dx = _mm512_sub_ps(_mm512_loadu_ps(c.x + k), x0), dy = _mm512_sub_ps(_mm512_loadu_ps(c.y + k), y0), dz = _mm512_sub_ps(_mm512_loadu_ps(c.z + k), z0);
+    const __m512 d = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(dx, dx), _mm512_mul_ps(dy, dy)), _mm512_mul_ps(dz, dz));
+    const __mmask16 mask = _mm512_mask_cmp_ps_mask(_mm512_cmp_ps_mask(d, most, _CMP_LE_OQ), d, zero, _CMP_GT_OQ);
+    _mm512_storeu_ps(x + n, _mm512_maskz_compress_ps(mask, dx));
+    _mm512_storeu_ps(y + n, _mm512_maskz_compress_ps(mask, dy));
+    _mm512_storeu_ps(z + n, _mm512_maskz_compress_ps(mask, dz));
+    n += static_cast<std::size_t>(_mm_popcnt_u32(mask));
+  }
+  out.u[1] = out.v[1] = out.wx[1] = out.wy[1] = zero;
+  for (std::size_t half = 0; half < 2 && n > 16 * half; ++half) {
+    const auto there = static_cast<__mmask16>(n >= 16 * half + 16 ? 0xffff : (1u << (n - 16 * half)) - 1);
+    const __m512 dx = _mm512_maskz_load_ps(there, x + 16 * half), dy = _mm512_maskz_load_ps(there, y + 16 * half), dz = _mm512_maskz_load_ps(there, z + 16 * half);
+    const __m512 d = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(dx, dx), _mm512_mul_ps(dy, dy)), _mm512_mul_ps(dz, dz)), over = _mm512_div_ps(_mm512_set1_ps(2), d);
+    const __m512 height = dot(f.normal, dx, dy, dz), four_squared = _mm512_mul_ps(_mm512_mul_ps(_mm512_set1_ps(4), height), height);
+    const __mmask16 holds = _mm512_mask_cmp_ps_mask(there, four_squared, d, _CMP_LE_OQ);
+    out.u[half] = dot(f.u, dx, dy, dz);
+    out.v[half] = dot(f.v, dx, dy, dz);
+    out.wx[half] = _mm512_maskz_mul_ps(holds, out.u[half], over);
+    out.wy[half] = _mm512_maskz_mul_ps(holds, out.v[half], over);
+  }
+  return n;
+}
+
+CHIARO_AVX512 inline float at_first(__mmask16 mask, __m512 v) { return _mm512_cvtss_f32(_mm512_maskz_compress_ps(mask, v)); }
+CHIARO_AVX512 inline __mmask16 first_of(unsigned mask) { return static_cast<__mmask16>(mask & (0u - mask)); }
+
+// What farthest_corner(), CellCorners and TangentLines do with the two registers, while each cut takes one corner and leaves room for another. 0 where it does not, and
+// where the corner is not settled by these lines.
+CHIARO_AVX512 inline float settle(const LineVectors& lines, float half, float scale, float reach, CornerVectors& c) {
+  const __m512 beyond_limit = _mm512_set1_ps(kBeyond), one = _mm512_set1_ps(1), zero = _mm512_setzero_ps();
+  for (std::size_t cuts = 0; cuts < CellCorners::kMost; ++cuts) {
+    const __m512 most = _mm512_set1_ps(_mm512_reduce_max_ps(c.squared));
+    const __mmask16 at = first_of(_mm512_cmp_ps_mask(c.squared, most, _CMP_EQ_OQ));
+    const float squared = _mm512_cvtss_f32(most), x = at_first(at, c.x), y = at_first(at, c.y);
+    if (!(squared >= 0 && squared < kInfinity)) return 0;
+    const __m512 dx = _mm512_set1_ps(x), dy = _mm512_set1_ps(y);
+    const __m512 first = _mm512_add_ps(_mm512_mul_ps(lines.wx[0], dx), _mm512_mul_ps(lines.wy[0], dy)), second = _mm512_add_ps(_mm512_mul_ps(lines.wx[1], dx), _mm512_mul_ps(lines.wy[1], dy));
+    const __m512 farther = _mm512_max_ps(first, second);
+    if (_mm512_cmp_ps_mask(farther, beyond_limit, _CMP_GT_OQ) == 0) {
+      const float d = std::sqrt(squared);
+      if (std::max(std::abs(x), std::abs(y)) >= 0.9999f * half || 2 * d > reach) return 0;
+      if (d <= scale) return d;
+      const __m512 ex = _mm512_set1_ps(x / d), ey = _mm512_set1_ps(y / d), far = _mm512_set1_ps(d);
+      for (std::size_t k = 0; k < 2; ++k) {
+        const __m512 aside = _mm512_abs_ps(_mm512_sub_ps(_mm512_mul_ps(lines.v[k], ex), _mm512_mul_ps(lines.u[k], ey)));
+        const __mmask16 beyond = _mm512_cmp_ps_mask(_mm512_add_ps(_mm512_mul_ps(lines.u[k], ex), _mm512_mul_ps(lines.v[k], ey)), far, _CMP_GE_OQ);
+        if (_mm512_mask_cmp_ps_mask(beyond, aside, far, _CMP_LE_OQ) != 0) return d;
+      }
+      return 0;
+    }
+    // Of equals the first by (number modulo kLanes, number).
+    const __mmask16 best = first_of(_mm512_cmp_ps_mask(farther, _mm512_set1_ps(_mm512_reduce_max_ps(farther)), _CMP_EQ_OQ)), in_second = _mm512_mask_cmp_ps_mask(best, second, first, _CMP_GT_OQ);
+    const float wx = in_second ? at_first(in_second, lines.wx[1]) : at_first(best, lines.wx[0]), wy = in_second ? at_first(in_second, lines.wy[1]) : at_first(best, lines.wy[0]);
+    const __mmask16 open = _mm512_cmp_ps_mask(c.squared, zero, _CMP_GE_OQ);
+    const __m512 along = _mm512_add_ps(_mm512_mul_ps(_mm512_set1_ps(wx), c.x), _mm512_mul_ps(_mm512_set1_ps(wy), c.y));
+    const unsigned cut = _mm512_mask_cmp_ps_mask(open, along, one, _CMP_GT_OQ), settled = _mm512_cmp_ps_mask(c.squared, zero, _CMP_LT_OQ);
+    if ((cut & ~static_cast<unsigned>(at)) != 0 || settled == 0) return 0;
+    const float ax = at_first(at, c.ax), ay = at_first(at, c.ay), bx = at_first(at, c.bx), by = at_first(at, c.by);
+    c.set(first_of(settled), wx, wy, bx, by);
+    c.set(at, ax, ay, wx, wy);
+  }
+  return 0;
+}
+
+CHIARO_AVX512 void start_vectors(const LineVectors& lines, std::size_t num, float half, CornerVectors& out) {
+  alignas(64) float wx[2 * kLanes], wy[2 * kLanes];
+  for (std::size_t k = 0; k < 2; ++k) {
+    _mm512_store_ps(wx + 16 * k, lines.wx[k]);
+    _mm512_store_ps(wy + 16 * k, lines.wy[k]);
+  }
+  DirectionVectors best(half);
+  for (std::size_t k = 0; k < num; k += 4)   // zeros behind the last one change nothing
+    for (std::size_t i = 0; i < 4; ++i) best.take(wx[k + i], wy[k + i]);
+  corners_of(best, out);
+}
+
+CHIARO_AVX512 float nearest_corner_avx512(const CandidateView& c, const Place& p, float reach, const TangentFrame& frame, float half, float scale, TangentLines& lines, CellCorners& corners, bool& started) {
+  LineVectors vectors;
+  lines.num = few_lines(c, p, reach * reach, frame, vectors);
+  started = lines.num <= 2 * kLanes;
+  if (!started) return 0;
+  CornerVectors cell;
+  start_vectors(vectors, lines.num, half, cell);
+  const float distance = settle(vectors, half, scale, reach, cell);
+  if (distance > 0) return distance;
+  for (std::size_t k = 0; k < 2; ++k) {
+    _mm512_storeu_ps(&lines.u[16 * k], vectors.u[k]);
+    _mm512_storeu_ps(&lines.v[16 * k], vectors.v[k]);
+    _mm512_storeu_ps(&lines.wx[16 * k], vectors.wx[k]);
+    _mm512_storeu_ps(&lines.wy[16 * k], vectors.wy[k]);
+  }
+  for (std::vector<float>* values : {&lines.u, &lines.v, &lines.wx, &lines.wy}) std::fill_n(values->begin() + 2 * kLanes, kLanes, 0.0f);
+  cell.store(corners);
+  return 0;
+}
 #endif
 
 }  // namespace
@@ -422,9 +565,14 @@ void add_smooth_lines(const CandidateView& c, const Place& p, float above, float
 
 }  // namespace
 
+// Vectors are stored whole.
+void TangentLines::make_room(std::size_t most) {
+  if (u.size() >= most + 2 * kLanes) return;
+  for (std::vector<float>* values : {&u, &v, &wx, &wy}) values->resize(most + 2 * kLanes);
+}
+
 bool TangentLines::add(const CandidateView& c, const Place& point, float above, float limit, const TangentFrame& frame) {
-  if (u.size() < num + c.num + 2 * kLanes)
-    for (std::vector<float>* values : {&u, &v, &wx, &wy}) values->resize(num + c.num + 2 * kLanes);
+  make_room(num + c.num);
   bool smooth = true;
   if (c.nx) smooth = add_lines(c, point, above, limit, frame, *this);
   else add_smooth_lines(c, point, above, limit, frame, *this);
@@ -474,7 +622,6 @@ bool CellCorners::cut(std::size_t at, float wx, float wy) {
   beyond &= ~(std::uint64_t{1} << at);
   // Those next to it on either side, then next to these.
   float first_x = ax[at], first_y = ay[at], last_x = bx[at], last_y = by[at];
-  std::size_t free = size;
   for (std::uint64_t left = beyond; left != 0;) {
     const auto k = static_cast<std::size_t>(__builtin_ctzll(left));
     left &= left - 1;
@@ -483,10 +630,10 @@ bool CellCorners::cut(std::size_t at, float wx, float wy) {
     if (before) first_x = ax[k], first_y = ay[k];
     else last_x = bx[k], last_y = by[k];
     squared[k] = -1;
-    free = k;
     beyond &= ~(std::uint64_t{1} << k);
     left = beyond;
   }
+  const auto free = static_cast<std::size_t>(std::find_if(squared.begin(), squared.begin() + static_cast<std::ptrdiff_t>(size), [](float v) { return v < 0; }) - squared.begin());
   if (free == kMost) return false;
   if (free == size) ++size;
   set(free, wx, wy, last_x, last_y);
@@ -510,6 +657,20 @@ void start_cell(const TangentLines& lines, float half, CellCorners& corners) {
   if (vector_width() == VectorWidth::kAvx2) return cell_avx2(lines, half, corners);
 #endif
   cell_body<8>(lines, half, corners);
+}
+
+float nearest_corner(const CandidateView& c, const Place& point, float reach, const TangentFrame& frame, float half, float scale, TangentLines& lines, CellCorners& corners, bool& started) {
+  lines.make_room(2 * kLanes);
+#if defined(CHIARO_AVX2)
+  if (vector_width() == VectorWidth::kAvx512) {
+    const float distance = nearest_corner_avx512(c, point, reach, frame, half, scale, lines, corners, started);
+    if (started) return distance;
+  }
+#endif
+  started = false;
+  lines.clear();
+  lines.add(c, point, 0, reach * reach, frame);
+  return 0;
 }
 
 }  // namespace chiaro::stream

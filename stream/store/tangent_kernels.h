@@ -27,6 +27,7 @@ struct TangentLines {
                               ///< 60 degrees apart, or more than 30 degrees off the plane
   std::size_t num = 0;
   void clear() { num = 0; }
+  void make_room(std::size_t most);
   /// Appends the candidates whose squared distance from the point is above `above`, 0 or more, and at most `limit`. False if another face begins near; the lines are not right then. Candidates without
   /// normals are all on the point's own face.
   bool add(const CandidateView& candidates, const Place& point, float above, float limit, const TangentFrame& frame);
@@ -53,5 +54,10 @@ struct CellCorners {
 };
 /// The cell of those lines, and of a square of the half size `half`, that are met first in each of kDirections directions.
 void start_cell(const TangentLines& lines, float half, CellCorners& corners);
+
+/// The lines to all candidates within `reach`, which are on the point's own face and have no normals; and, if these are not too many to be held in registers, the
+/// cell. Where the farthest corner is within `scale`, or has a neighbour beyond, and nothing further away than `reach` can cut it, its distance; else 0.
+/// started: the cell is as start_cell() leaves it, or further.
+float nearest_corner(const CandidateView& candidates, const Place& point, float reach, const TangentFrame& frame, float half, float scale, TangentLines& lines, CellCorners& corners, bool& started);
 
 }  // namespace chiaro::stream
