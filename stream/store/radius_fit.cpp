@@ -27,16 +27,12 @@ class RadiusFitter {
   // The nearest of the neighbours settle most cells: what is further than twice the farthest corner cuts nothing. The others are looked at where they do not.
   void fit_nearest(const SearchGroup& group, const CandidateView& nearer, float near, const CandidateView& farther, float wide, std::array<bool, kLanes>& fitted) {
     const std::array<const CandidateView*, 2> both{&nearer, &farther};
+    if (!nearer.nx) return fit_smooth(group, both, near, wide, fitted);
     // All lines first, then all cells: what has just been written in pieces is slow to read as a whole.
-    std::array<float, kLanes> settled{};
-    std::array<bool, kLanes> started{};
-    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = nearer.nx ? start_lines(group, at, both, near, wide) : start_smooth(group, at, nearer, near, wide, settled[at], started[at]);
+    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = start_lines(group, at, both, near, wide);
     for (std::size_t at = 0; at < group.size(); ++at)
-      if (fitted[at] && !started[at]) start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
-    for (std::size_t at = 0; at < group.size(); ++at) {
-      if (settled[at] > 0 && fitted[at]) set_inside(group, at, settled[at]);
-      else fitted[at] = fitted[at] && fit_inside(group, at, both);
-    }
+      if (fitted[at]) start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
+    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = fitted[at] && fit_inside(group, at, both);
   }
 
   bool fit_near(const SearchGroup& group, std::size_t at, const CandidateView& view, const Selection& c) {
@@ -113,7 +109,7 @@ class RadiusFitter {
 
   // Lines to the nearest, of which the first view has all up to `near`. False for other faces and crowds, too.
   bool start_lines(const SearchGroup& group, std::size_t at, Views views, float near, float wide) {
-    const float edge_reach = views[0]->nx ? kEdgeReach * group.mean[at] : 0;
+    const float edge_reach = kEdgeReach * group.mean[at];
     if (!begin(group, at, edge_reach, wide)) return false;
     lines_[at].clear();
     if (!add_lines(group, at, views.first(1), std::min({near, reaches_[at].most, std::max(kFirstShare * group.radius[at], edge_reach)}))) return false;
@@ -121,14 +117,27 @@ class RadiusFitter {
     return !is_crowded(group, at);
   }
 
-  // The same where there are no other faces. What else was done on the way: the cell started, or even the corner settled.
-  bool start_smooth(const SearchGroup& group, std::size_t at, const CandidateView& nearer, float near, float wide, float& settled, bool& started) {
-    if (!begin(group, at, 0, wide)) return false;
-    const std::size_t i = group.begin + at;
-    const float scale = scale_of(group, at), reach = std::min({near, reaches_[at].most, kFirstShare * group.radius[at]});
-    settled = nearest_corner(nearer, {own_.x[i], own_.y[i], own_.z[i]}, reach, frames_[at], 3 * scale, scale, lines_[at], cells_[at], started);
-    reaches_[at].now = reach;
-    return !is_crowded(group, at);
+  // The same and more where there are no other faces.
+  void fit_smooth(const SearchGroup& group, Views views, float near, float wide, std::array<bool, kLanes>& fitted) {
+    for (std::size_t at = 0; at < group.size(); ++at) {
+      const std::size_t i = group.begin + at;
+      SmoothPoint& p = smooth_[at];
+      p.wanted = begin(group, at, 0, wide);
+      p.started = false;
+      p.distance = 0;
+      if (!p.wanted) continue;
+      p.place = {own_.x[i], own_.y[i], own_.z[i]};
+      p.frame = frames_[at];
+      p.scale = scale_of(group, at);
+      p.half = 3 * p.scale;
+      p.reach = reaches_[at].now = std::min({near, reaches_[at].most, kFirstShare * group.radius[at]});
+    }
+    nearest_corners(*views[0], std::span(smooth_).first(group.size()), lines_, cells_);
+    for (std::size_t at = 0; at < group.size(); ++at) {
+      fitted[at] = smooth_[at].wanted && !is_crowded(group, at);
+      if (fitted[at] && smooth_[at].distance > 0) set_inside(group, at, smooth_[at].distance);
+      else fitted[at] = fitted[at] && fit_inside(group, at, views);
+    }
   }
 
   // Those further away than has been looked at. False if one is on another face.
@@ -436,6 +445,7 @@ class RadiusFitter {
   std::vector<RadiusFit>& fits_;
   NeighbourRow row_;
   std::array<Reach, kLanes> reaches_;
+  std::array<SmoothPoint, kLanes> smooth_;
   std::array<TangentFrame, kLanes> frames_;
   std::array<TangentLines, kLanes> lines_;
   std::array<CellCorners, kLanes> cells_;

@@ -435,38 +435,47 @@ CHIARO_AVX512 std::size_t farthest_avx512(const CellCorners& c) {
   return first_of_largest(best, which);
 }
 
-// Lines in two registers.
-struct LineVectors {
-  __m512 u[2], v[2], wx[2], wy[2];
+// Lines of one point, zero behind the last one.
+struct FewLines {
+  alignas(64) float u[3 * kLanes], v[3 * kLanes], wx[3 * kLanes], wy[3 * kLanes];
+  std::size_t num;
+  bool fit() const { return num <= 2 * kLanes; }
 };
 
-// As offsets_avx512() and project_body(), from nothing. Returns how many there are; more than 32: not all are there.
-CHIARO_AVX512 inline std::size_t few_lines(const CandidateView& c, const Place& p, float limit, const TangentFrame& f, LineVectors& out) {
-  alignas(64) float x[4 * kLanes], y[4 * kLanes], z[4 * kLanes];
+// As offsets_avx512(), from nothing. More than 32: not all are there.
+CHIARO_AVX512 inline void few_offsets(const CandidateView& c, const Place& p, float limit, FewLines& out) {
   const __m512 x0 = _mm512_set1_ps(p[0]), y0 = _mm512_set1_ps(p[1]), z0 = _mm512_set1_ps(p[2]), most = _mm512_set1_ps(limit), zero = _mm512_setzero_ps();
   std::size_t n = 0;
   for (std::size_t k = 0; k < c.num && n <= 2 * kLanes; k += 16) {
-    const __m512 dx = _mm512_sub_ps(_mm512_loadu_ps(c.x + k), x0), dy = _mm512_sub_ps(_mm512_loadu_ps(c.y + k), y0), dz = _mm512_sub_ps(_mm512_loadu_ps(c.z + k), z0);
-    const __m512 d = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(dx, dx), _mm512_mul_ps(dy, dy)), _mm512_mul_ps(dz, dz));
+    const __m512 x = _mm512_sub_ps(_mm512_loadu_ps(c.x + k), x0), y = _mm512_sub_ps(_mm512_loadu_ps(c.y + k), y0), z = _mm512_sub_ps(_mm512_loadu_ps(c.z + k), z0);
+    const __m512 d = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(x, x), _mm512_mul_ps(y, y)), _mm512_mul_ps(z, z));
     const __mmask16 mask = _mm512_mask_cmp_ps_mask(_mm512_cmp_ps_mask(d, most, _CMP_LE_OQ), d, zero, _CMP_GT_OQ);
-    _mm512_storeu_ps(x + n, _mm512_maskz_compress_ps(mask, dx));
-    _mm512_storeu_ps(y + n, _mm512_maskz_compress_ps(mask, dy));
-    _mm512_storeu_ps(z + n, _mm512_maskz_compress_ps(mask, dz));
+    _mm512_storeu_ps(out.u + n, _mm512_maskz_compress_ps(mask, x));
+    _mm512_storeu_ps(out.v + n, _mm512_maskz_compress_ps(mask, y));
+    _mm512_storeu_ps(out.wx + n, _mm512_maskz_compress_ps(mask, z));
     n += static_cast<std::size_t>(_mm_popcnt_u32(mask));
   }
-  out.u[1] = out.v[1] = out.wx[1] = out.wy[1] = zero;
-  for (std::size_t half = 0; half < 2 && n > 16 * half; ++half) {
-    const auto there = static_cast<__mmask16>(n >= 16 * half + 16 ? 0xffff : (1u << (n - 16 * half)) - 1);
-    const __m512 dx = _mm512_maskz_load_ps(there, x + 16 * half), dy = _mm512_maskz_load_ps(there, y + 16 * half), dz = _mm512_maskz_load_ps(there, z + 16 * half);
-    const __m512 d = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(dx, dx), _mm512_mul_ps(dy, dy)), _mm512_mul_ps(dz, dz)), over = _mm512_div_ps(_mm512_set1_ps(2), d);
-    const __m512 height = dot(f.normal, dx, dy, dz), four_squared = _mm512_mul_ps(_mm512_mul_ps(_mm512_set1_ps(4), height), height);
+  out.num = n;
+}
+
+// As project_body().
+CHIARO_AVX512 inline void few_lines(const TangentFrame& f, FewLines& lines) {
+  for (std::size_t k = 0; k < 2 * kLanes; k += 16) {
+    const auto there = static_cast<__mmask16>(lines.num >= k + 16 ? 0xffff : lines.num <= k ? 0 : (1u << (lines.num - k)) - 1);
+    if (there == 0) {
+      for (float* values : {lines.u, lines.v, lines.wx, lines.wy}) _mm512_store_ps(values + k, _mm512_setzero_ps());
+      continue;
+    }
+    const __m512 x = _mm512_maskz_load_ps(there, lines.u + k), y = _mm512_maskz_load_ps(there, lines.v + k), z = _mm512_maskz_load_ps(there, lines.wx + k);
+    const __m512 d = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(x, x), _mm512_mul_ps(y, y)), _mm512_mul_ps(z, z)), over = _mm512_div_ps(_mm512_set1_ps(2), d);
+    const __m512 height = dot(f.normal, x, y, z), four_squared = _mm512_mul_ps(_mm512_mul_ps(_mm512_set1_ps(4), height), height);
     const __mmask16 holds = _mm512_mask_cmp_ps_mask(there, four_squared, d, _CMP_LE_OQ);
-    out.u[half] = dot(f.u, dx, dy, dz);
-    out.v[half] = dot(f.v, dx, dy, dz);
-    out.wx[half] = _mm512_maskz_mul_ps(holds, out.u[half], over);
-    out.wy[half] = _mm512_maskz_mul_ps(holds, out.v[half], over);
+    const __m512 u = dot(f.u, x, y, z), v = dot(f.v, x, y, z);
+    _mm512_store_ps(lines.u + k, u);
+    _mm512_store_ps(lines.v + k, v);
+    _mm512_store_ps(lines.wx + k, _mm512_maskz_mul_ps(holds, u, over));
+    _mm512_store_ps(lines.wy + k, _mm512_maskz_mul_ps(holds, v, over));
   }
-  return n;
 }
 
 CHIARO_AVX512 inline float at_first(__mmask16 mask, __m512 v) { return _mm512_cvtss_f32(_mm512_maskz_compress_ps(mask, v)); }
@@ -474,7 +483,8 @@ CHIARO_AVX512 inline __mmask16 first_of(unsigned mask) { return static_cast<__mm
 
 // What farthest_corner(), CellCorners and TangentLines do with the two registers, while each cut takes one corner and leaves room for another. 0 where it does not, and
 // where the corner is not settled by these lines.
-CHIARO_AVX512 inline float settle(const LineVectors& lines, float half, float scale, float reach, CornerVectors& c) {
+CHIARO_AVX512 inline float settle(const FewLines& lines, const SmoothPoint& p, CornerVectors& c) {
+  const __m512 wx0 = _mm512_load_ps(lines.wx), wx1 = _mm512_load_ps(lines.wx + 16), wy0 = _mm512_load_ps(lines.wy), wy1 = _mm512_load_ps(lines.wy + 16);
   const __m512 beyond_limit = _mm512_set1_ps(kBeyond), one = _mm512_set1_ps(1), zero = _mm512_setzero_ps();
   for (std::size_t cuts = 0; cuts < CellCorners::kMost; ++cuts) {
     const __m512 most = _mm512_set1_ps(_mm512_reduce_max_ps(c.squared));
@@ -482,23 +492,23 @@ CHIARO_AVX512 inline float settle(const LineVectors& lines, float half, float sc
     const float squared = _mm512_cvtss_f32(most), x = at_first(at, c.x), y = at_first(at, c.y);
     if (!(squared >= 0 && squared < kInfinity)) return 0;
     const __m512 dx = _mm512_set1_ps(x), dy = _mm512_set1_ps(y);
-    const __m512 first = _mm512_add_ps(_mm512_mul_ps(lines.wx[0], dx), _mm512_mul_ps(lines.wy[0], dy)), second = _mm512_add_ps(_mm512_mul_ps(lines.wx[1], dx), _mm512_mul_ps(lines.wy[1], dy));
+    const __m512 first = _mm512_add_ps(_mm512_mul_ps(wx0, dx), _mm512_mul_ps(wy0, dy)), second = _mm512_add_ps(_mm512_mul_ps(wx1, dx), _mm512_mul_ps(wy1, dy));
     const __m512 farther = _mm512_max_ps(first, second);
     if (_mm512_cmp_ps_mask(farther, beyond_limit, _CMP_GT_OQ) == 0) {
       const float d = std::sqrt(squared);
-      if (std::max(std::abs(x), std::abs(y)) >= 0.9999f * half || 2 * d > reach) return 0;
-      if (d <= scale) return d;
+      if (std::max(std::abs(x), std::abs(y)) >= 0.9999f * p.half || 2 * d > p.reach) return 0;
+      if (d <= p.scale) return d;
       const __m512 ex = _mm512_set1_ps(x / d), ey = _mm512_set1_ps(y / d), far = _mm512_set1_ps(d);
-      for (std::size_t k = 0; k < 2; ++k) {
-        const __m512 aside = _mm512_abs_ps(_mm512_sub_ps(_mm512_mul_ps(lines.v[k], ex), _mm512_mul_ps(lines.u[k], ey)));
-        const __mmask16 beyond = _mm512_cmp_ps_mask(_mm512_add_ps(_mm512_mul_ps(lines.u[k], ex), _mm512_mul_ps(lines.v[k], ey)), far, _CMP_GE_OQ);
+      for (std::size_t k = 0; k < 2 * kLanes; k += 16) {
+        const __m512 u = _mm512_load_ps(lines.u + k), v = _mm512_load_ps(lines.v + k), aside = _mm512_abs_ps(_mm512_sub_ps(_mm512_mul_ps(v, ex), _mm512_mul_ps(u, ey)));
+        const __mmask16 beyond = _mm512_cmp_ps_mask(_mm512_add_ps(_mm512_mul_ps(u, ex), _mm512_mul_ps(v, ey)), far, _CMP_GE_OQ);
         if (_mm512_mask_cmp_ps_mask(beyond, aside, far, _CMP_LE_OQ) != 0) return d;
       }
       return 0;
     }
     // Of equals the first by (number modulo kLanes, number).
     const __mmask16 best = first_of(_mm512_cmp_ps_mask(farther, _mm512_set1_ps(_mm512_reduce_max_ps(farther)), _CMP_EQ_OQ)), in_second = _mm512_mask_cmp_ps_mask(best, second, first, _CMP_GT_OQ);
-    const float wx = in_second ? at_first(in_second, lines.wx[1]) : at_first(best, lines.wx[0]), wy = in_second ? at_first(in_second, lines.wy[1]) : at_first(best, lines.wy[0]);
+    const float wx = in_second ? at_first(in_second, wx1) : at_first(best, wx0), wy = in_second ? at_first(in_second, wy1) : at_first(best, wy0);
     const __mmask16 open = _mm512_cmp_ps_mask(c.squared, zero, _CMP_GE_OQ);
     const __m512 along = _mm512_add_ps(_mm512_mul_ps(_mm512_set1_ps(wx), c.x), _mm512_mul_ps(_mm512_set1_ps(wy), c.y));
     const unsigned cut = _mm512_mask_cmp_ps_mask(open, along, one, _CMP_GT_OQ), settled = _mm512_cmp_ps_mask(c.squared, zero, _CMP_LT_OQ);
@@ -510,36 +520,43 @@ CHIARO_AVX512 inline float settle(const LineVectors& lines, float half, float sc
   return 0;
 }
 
-CHIARO_AVX512 void start_vectors(const LineVectors& lines, std::size_t num, float half, CornerVectors& out) {
-  alignas(64) float wx[2 * kLanes], wy[2 * kLanes];
-  for (std::size_t k = 0; k < 2; ++k) {
-    _mm512_store_ps(wx + 16 * k, lines.wx[k]);
-    _mm512_store_ps(wy + 16 * k, lines.wy[k]);
-  }
+CHIARO_AVX512 inline void start_few(const FewLines& lines, float half, CornerVectors& out) {
   DirectionVectors best(half);
-  for (std::size_t k = 0; k < num; k += 4)   // zeros behind the last one change nothing
-    for (std::size_t i = 0; i < 4; ++i) best.take(wx[k + i], wy[k + i]);
+  for (std::size_t k = 0; k < lines.num; k += 4)   // zeros behind the last one change nothing
+    for (std::size_t i = 0; i < 4; ++i) best.take(lines.wx[k + i], lines.wy[k + i]);
   corners_of(best, out);
 }
 
-CHIARO_AVX512 float nearest_corner_avx512(const CandidateView& c, const Place& p, float reach, const TangentFrame& frame, float half, float scale, TangentLines& lines, CellCorners& corners, bool& started) {
-  LineVectors vectors;
-  lines.num = few_lines(c, p, reach * reach, frame, vectors);
-  started = lines.num <= 2 * kLanes;
-  if (!started) return 0;
-  CornerVectors cell;
-  start_vectors(vectors, lines.num, half, cell);
-  const float distance = settle(vectors, half, scale, reach, cell);
-  if (distance > 0) return distance;
-  for (std::size_t k = 0; k < 2; ++k) {
-    _mm512_storeu_ps(&lines.u[16 * k], vectors.u[k]);
-    _mm512_storeu_ps(&lines.v[16 * k], vectors.v[k]);
-    _mm512_storeu_ps(&lines.wx[16 * k], vectors.wx[k]);
-    _mm512_storeu_ps(&lines.wy[16 * k], vectors.wy[k]);
+CHIARO_AVX512 inline void keep(const FewLines& from, TangentLines& to) {
+  for (std::size_t k = 0; k < 2 * kLanes; k += 16) {
+    _mm512_storeu_ps(&to.u[k], _mm512_load_ps(from.u + k));
+    _mm512_storeu_ps(&to.v[k], _mm512_load_ps(from.v + k));
+    _mm512_storeu_ps(&to.wx[k], _mm512_load_ps(from.wx + k));
+    _mm512_storeu_ps(&to.wy[k], _mm512_load_ps(from.wy + k));
   }
-  for (std::vector<float>* values : {&lines.u, &lines.v, &lines.wx, &lines.wy}) std::fill_n(values->begin() + 2 * kLanes, kLanes, 0.0f);
-  cell.store(corners);
-  return 0;
+  for (std::vector<float>* values : {&to.u, &to.v, &to.wx, &to.wy}) std::fill_n(values->begin() + 2 * kLanes, kLanes, 0.0f);
+}
+
+// One step after the other for all points: their chains of operations are long and do not wait for each other.
+CHIARO_AVX512 void nearest_corners_avx512(const CandidateView& c, std::span<SmoothPoint> points, std::span<TangentLines> lines, std::span<CellCorners> corners) {
+  std::array<FewLines, kLanes> few;
+  std::array<CornerVectors, kLanes> cells;
+  for (std::size_t at = 0; at < points.size(); ++at)
+    if (points[at].wanted) few_offsets(c, points[at].place, points[at].reach * points[at].reach, few[at]);
+  for (std::size_t at = 0; at < points.size(); ++at) {
+    points[at].started = points[at].wanted && few[at].fit();
+    if (points[at].started) few_lines(points[at].frame, few[at]);
+  }
+  for (std::size_t at = 0; at < points.size(); ++at)
+    if (points[at].started) start_few(few[at], points[at].half, cells[at]);
+  for (std::size_t at = 0; at < points.size(); ++at) {
+    if (!points[at].started) continue;
+    points[at].distance = settle(few[at], points[at], cells[at]);
+    lines[at].num = few[at].num;
+    if (points[at].distance > 0) continue;
+    keep(few[at], lines[at]);
+    cells[at].store(corners[at]);
+  }
 }
 #endif
 
@@ -659,18 +676,20 @@ void start_cell(const TangentLines& lines, float half, CellCorners& corners) {
   cell_body<8>(lines, half, corners);
 }
 
-float nearest_corner(const CandidateView& c, const Place& point, float reach, const TangentFrame& frame, float half, float scale, TangentLines& lines, CellCorners& corners, bool& started) {
-  lines.make_room(2 * kLanes);
+void nearest_corners(const CandidateView& c, std::span<SmoothPoint> points, std::span<TangentLines> lines, std::span<CellCorners> corners) {
 #if defined(CHIARO_AVX2)
   if (vector_width() == VectorWidth::kAvx512) {
-    const float distance = nearest_corner_avx512(c, point, reach, frame, half, scale, lines, corners, started);
-    if (started) return distance;
+    for (TangentLines& l : lines) l.make_room(2 * kLanes);
+    nearest_corners_avx512(c, points, lines, corners);
   }
 #endif
-  started = false;
-  lines.clear();
-  lines.add(c, point, 0, reach * reach, frame);
-  return 0;
+  for (std::size_t at = 0; at < points.size(); ++at) {
+    SmoothPoint& p = points[at];
+    if (!p.wanted || p.started) continue;
+    lines[at].clear();
+    lines[at].add(c, p.place, 0, p.reach * p.reach, p.frame);
+    start_cell(lines[at], p.half, corners[at]);
+  }
 }
 
 }  // namespace chiaro::stream

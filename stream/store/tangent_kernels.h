@@ -5,6 +5,7 @@
 #pragma once
 #include <array>
 #include <cstddef>
+#include <span>
 #include <vector>
 
 #include "stream/store/near_kernels.h"
@@ -55,9 +56,17 @@ struct CellCorners {
 /// The cell of those lines, and of a square of the half size `half`, that are met first in each of kDirections directions.
 void start_cell(const TangentLines& lines, float half, CellCorners& corners);
 
-/// The lines to all candidates within `reach`, which are on the point's own face and have no normals; and, if these are not too many to be held in registers, the
-/// cell. Where the farthest corner is within `scale`, or has a neighbour beyond, and nothing further away than `reach` can cut it, its distance; else 0.
-/// started: the cell is as start_cell() leaves it, or further.
-float nearest_corner(const CandidateView& candidates, const Place& point, float reach, const TangentFrame& frame, float half, float scale, TangentLines& lines, CellCorners& corners, bool& started);
+/// A point whose candidates are all on its own face.
+struct SmoothPoint {
+  bool wanted = false;
+  Place place;
+  TangentFrame frame;
+  float reach = 0;         ///< within which its neighbours are looked at
+  float half = 0, scale = 0;
+  bool started = false;    ///< used inside
+  float distance = 0;      ///< of the cell's farthest corner, where it is within `scale` or has a neighbour beyond, and nothing further away than `reach` can cut it; else 0
+};
+/// The lines of each point and, where the distance remains 0, the cell as start_cell() leaves it or further. At most kLanes points; candidates have no normals.
+void nearest_corners(const CandidateView& candidates, std::span<SmoothPoint> points, std::span<TangentLines> lines, std::span<CellCorners> corners);
 
 }  // namespace chiaro::stream
