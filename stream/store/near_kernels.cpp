@@ -134,7 +134,30 @@ CHIARO_AVX2 void moments_avx2(const CandidateView& c, const LanePoints& p, const
 
 CHIARO_AVX512 void nearest_avx512(const CandidateView& c, const LanePoints& p, Nearest& out) { nearest_body<16>(c, p, out); }
 CHIARO_AVX512 void distances_avx512(const Nearest& nearest, LaneFloats& sixth, LaneFloats& mean) { distances_body(nearest, sixth, mean); }
-CHIARO_AVX512 void moments_avx512(const CandidateView& c, const LanePoints& p, const LaneFloats& limits, LaneMoments& out) { moments_body<16>(c, p, limits, out); }
+
+// What moments_body() does. Additions are what it waits for: some processors have other units for products, which add as well, and round the same, by a product with one.
+CHIARO_AVX512 void moments_avx512(const CandidateView& c, const LanePoints& p, const LaneFloats& limits, LaneMoments& out) {
+  const __m512 px = _mm512_loadu_ps(p.x.data()), py = _mm512_loadu_ps(p.y.data()), pz = _mm512_loadu_ps(p.z.data()), limit = _mm512_loadu_ps(limits.data());
+  __m512 one = _mm512_set1_ps(1), sums[kTerms];
+  __asm__("" : "+v"(one));   // not known to be one: the compiler would make additions again
+  for (std::size_t t = 0; t < kTerms; ++t) sums[t] = _mm512_loadu_ps(out.sum[t].data());
+  for (std::size_t k = 0; k < c.num; ++k) {
+    __m512 x = _mm512_sub_ps(_mm512_set1_ps(c.x[k]), px), y = _mm512_sub_ps(_mm512_set1_ps(c.y[k]), py), z = _mm512_sub_ps(_mm512_set1_ps(c.z[k]), pz);
+    const __m512 xx = _mm512_mul_ps(x, x), yy = _mm512_mul_ps(y, y), zz = _mm512_mul_ps(z, z);
+    const __mmask16 inside = _mm512_cmp_ps_mask(_mm512_add_ps(_mm512_add_ps(xx, yy), zz), limit, _CMP_LE_OQ);
+    sums[0] = _mm512_mask_add_ps(sums[0], inside, sums[0], x);
+    sums[1] = _mm512_mask_add_ps(sums[1], inside, sums[1], y);
+    sums[2] = _mm512_mask_add_ps(sums[2], inside, sums[2], z);
+    sums[3] = _mm512_mask3_fmadd_ps(xx, one, sums[3], inside);
+    sums[4] = _mm512_mask_add_ps(sums[4], inside, sums[4], _mm512_mul_ps(x, y));
+    sums[5] = _mm512_mask_add_ps(sums[5], inside, sums[5], _mm512_mul_ps(x, z));
+    sums[6] = _mm512_mask3_fmadd_ps(yy, one, sums[6], inside);
+    sums[7] = _mm512_mask_add_ps(sums[7], inside, sums[7], _mm512_mul_ps(y, z));
+    sums[8] = _mm512_mask3_fmadd_ps(zz, one, sums[8], inside);
+    sums[9] = _mm512_mask3_fmadd_ps(one, one, sums[9], inside);
+  }
+  for (std::size_t t = 0; t < kTerms; ++t) _mm512_storeu_ps(out.sum[t].data(), sums[t]);
+}
 #endif
 
 }  // namespace
