@@ -45,16 +45,20 @@ CHIARO_INLINE void nearest_body(const CandidateView& c, const LanePoints& p, Nea
   }
 }
 
+// Roots in a loop of their own, from a copy: only so does the compiler take many at once.
 CHIARO_INLINE void distances_body(const Nearest& nearest, LaneFloats& sixth, LaneFloats& mean) {
-  LaneFloats sum{}, number{};
-  for (std::size_t k = 0; k < kNearest; ++k)
+  LaneFloats sum{}, number{}, distance{};
+  for (const LaneFloats& squared : nearest.squared) {
+    const LaneFloats from = squared;
+    for (std::size_t lane = 0; lane < kLanes; ++lane) distance[lane] = std::sqrt(from[lane]);
     for (std::size_t lane = 0; lane < kLanes; ++lane) {
-      const float distance = std::sqrt(nearest.squared[k][lane]);
-      sum[lane] += distance < kInfinity ? distance : 0.0f;
-      number[lane] += distance < kInfinity ? 1.0f : 0.0f;
-      sixth[lane] = distance;
+      const bool there = distance[lane] < kInfinity;
+      sum[lane] += there ? distance[lane] : 0.0f;
+      number[lane] += there ? 1.0f : 0.0f;
     }
+  }
   for (std::size_t lane = 0; lane < kLanes; ++lane) mean[lane] = number[lane] > 0 ? sum[lane] / number[lane] : 0.0f;
+  sixth = distance;
 }
 
 template <class Floats>
@@ -95,45 +99,6 @@ CHIARO_INLINE void moments_body(const CandidateView& c, const LanePoints& p, con
   }
 }
 
-// Both limits in one pass, for processors with registers for twice the sums.
-template <std::size_t N>
-CHIARO_INLINE void both_moments_body(const CandidateView& c, const LanePoints& p, const LaneFloats& wide_limits, const LaneFloats& narrow_limits, LaneMoments& wide, LaneMoments& narrow) {
-  using Floats = typename LaneTypes<N>::Floats;
-  using Mask = typename LaneTypes<N>::Mask;
-  for (std::size_t first = 0; first < kLanes; first += N) {
-    Floats px, py, pz, wide_limit, narrow_limit, in_wide[kTerms], in_narrow[kTerms];
-    load(&p.x[first], px);
-    load(&p.y[first], py);
-    load(&p.z[first], pz);
-    load(&wide_limits[first], wide_limit);
-    load(&narrow_limits[first], narrow_limit);
-    for (std::size_t t = 0; t < kTerms; ++t) {
-      load(&wide.sum[t][first], in_wide[t]);
-      load(&narrow.sum[t][first], in_narrow[t]);
-    }
-    const Floats one = Floats{} + 1.0f;
-    for (std::size_t k = 0; k < c.num; ++k) {
-      Floats x = c.x[k] - px, y = c.y[k] - py, z = c.z[k] - pz;
-      const Floats d = x * x + y * y + z * z;
-      const Mask inside = d <= wide_limit, close = d <= narrow_limit;
-      x = inside ? x : Floats{};
-      y = inside ? y : Floats{};
-      z = inside ? z : Floats{};
-      const Floats terms[9] = {x, y, z, x * x, x * y, x * z, y * y, y * z, z * z};
-      for (std::size_t t = 0; t < 9; ++t) {
-        in_wide[t] += terms[t];
-        in_narrow[t] += close ? terms[t] : Floats{};
-      }
-      in_wide[9] += inside ? one : Floats{};
-      in_narrow[9] += close ? one : Floats{};
-    }
-    for (std::size_t t = 0; t < kTerms; ++t) {
-      store(in_wide[t], &wide.sum[t][first]);
-      store(in_narrow[t], &narrow.sum[t][first]);
-    }
-  }
-}
-
 // Always by eight lanes, which are added in the same order.
 CHIARO_INLINE double lanes_together(const LaneTypes<8>::Floats& sum) {
   float l[8];
@@ -169,9 +134,29 @@ CHIARO_AVX2 void moments_avx2(const CandidateView& c, const LanePoints& p, const
 
 CHIARO_AVX512 void nearest_avx512(const CandidateView& c, const LanePoints& p, Nearest& out) { nearest_body<16>(c, p, out); }
 CHIARO_AVX512 void distances_avx512(const Nearest& nearest, LaneFloats& sixth, LaneFloats& mean) { distances_body(nearest, sixth, mean); }
-CHIARO_AVX512 void moments_avx512(const CandidateView& c, const LanePoints& p, const LaneFloats& limits, LaneMoments& out) { moments_body<16>(c, p, limits, out); }
-CHIARO_AVX512 void both_moments_avx512(const CandidateView& c, const LanePoints& p, const LaneFloats& wide_limits, const LaneFloats& narrow_limits, LaneMoments& wide, LaneMoments& narrow) {
-  both_moments_body<16>(c, p, wide_limits, narrow_limits, wide, narrow);
+
+// What moments_body() does. Additions are what it waits for: some processors have other units for products, which add as well, and round the same, by a product with one.
+CHIARO_AVX512 void moments_avx512(const CandidateView& c, const LanePoints& p, const LaneFloats& limits, LaneMoments& out) {
+  const __m512 px = _mm512_loadu_ps(p.x.data()), py = _mm512_loadu_ps(p.y.data()), pz = _mm512_loadu_ps(p.z.data()), limit = _mm512_loadu_ps(limits.data());
+  __m512 one = _mm512_set1_ps(1), sums[kTerms];
+  __asm__("" : "+v"(one));   // not known to be one: the compiler would make additions again
+  for (std::size_t t = 0; t < kTerms; ++t) sums[t] = _mm512_loadu_ps(out.sum[t].data());
+  for (std::size_t k = 0; k < c.num; ++k) {
+    __m512 x = _mm512_sub_ps(_mm512_set1_ps(c.x[k]), px), y = _mm512_sub_ps(_mm512_set1_ps(c.y[k]), py), z = _mm512_sub_ps(_mm512_set1_ps(c.z[k]), pz);
+    const __m512 xx = _mm512_mul_ps(x, x), yy = _mm512_mul_ps(y, y), zz = _mm512_mul_ps(z, z);
+    const __mmask16 inside = _mm512_cmp_ps_mask(_mm512_add_ps(_mm512_add_ps(xx, yy), zz), limit, _CMP_LE_OQ);
+    sums[0] = _mm512_mask_add_ps(sums[0], inside, sums[0], x);
+    sums[1] = _mm512_mask_add_ps(sums[1], inside, sums[1], y);
+    sums[2] = _mm512_mask_add_ps(sums[2], inside, sums[2], z);
+    sums[3] = _mm512_mask3_fmadd_ps(xx, one, sums[3], inside);
+    sums[4] = _mm512_mask_add_ps(sums[4], inside, sums[4], _mm512_mul_ps(x, y));
+    sums[5] = _mm512_mask_add_ps(sums[5], inside, sums[5], _mm512_mul_ps(x, z));
+    sums[6] = _mm512_mask3_fmadd_ps(yy, one, sums[6], inside);
+    sums[7] = _mm512_mask_add_ps(sums[7], inside, sums[7], _mm512_mul_ps(y, z));
+    sums[8] = _mm512_mask3_fmadd_ps(zz, one, sums[8], inside);
+    sums[9] = _mm512_mask3_fmadd_ps(one, one, sums[9], inside);
+  }
+  for (std::size_t t = 0; t < kTerms; ++t) _mm512_storeu_ps(out.sum[t].data(), sums[t]);
 }
 #endif
 
@@ -230,14 +215,6 @@ void add_moments(const CandidateView& c, const LanePoints& p, const LaneFloats& 
   if (width == VectorWidth::kAvx2) return moments_avx2(c, p, limits, out);
 #endif
   moments_body<8>(c, p, limits, out);
-}
-
-void add_moments(const CandidateView& c, const LanePoints& p, const LaneFloats& wide_limits, const LaneFloats& narrow_limits, LaneMoments& wide, LaneMoments& narrow) {
-#if defined(CHIARO_AVX2)
-  if (width == VectorWidth::kAvx512) return both_moments_avx512(c, p, wide_limits, narrow_limits, wide, narrow);
-#endif
-  add_moments(c, p, wide_limits, wide);
-  add_moments(c, p, narrow_limits, narrow);
 }
 
 }  // namespace chiaro::stream

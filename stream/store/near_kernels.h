@@ -21,7 +21,7 @@ struct CandidateView {
   std::size_t num = 0;
   const std::uint32_t* index = nullptr;  ///< numbers by which they are known; null: 0, 1, 2, ...
   const float *nx = nullptr, *ny = nullptr, *nz = nullptr;  ///< unit normals, or null
-  const std::uint32_t* oriented = nullptr;                  ///< with normals: all bits set where the sign of the normal is known
+  const std::uint32_t* oriented = nullptr;                  ///< with normals: all bits set where the sign of the normal is known; or null
 };
 
 using LaneFloats = std::array<float, kLanes>;
@@ -57,7 +57,5 @@ struct LaneMoments {
   std::array<LaneFloats, kTerms> sum{};
 };
 void add_moments(const CandidateView& candidates, const LanePoints& points, const LaneFloats& limits, LaneMoments& out);
-/// Within two limits each, the narrow ones no larger.
-void add_moments(const CandidateView& candidates, const LanePoints& points, const LaneFloats& wide_limits, const LaneFloats& narrow_limits, LaneMoments& wide, LaneMoments& narrow);
 
 }  // namespace chiaro::stream

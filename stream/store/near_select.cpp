@@ -22,7 +22,7 @@ CHIARO_INLINE void put(const CandidateView& c, std::size_t k, std::size_t n, Sel
   out.nx[n] = c.nx[k];
   out.ny[n] = c.ny[k];
   out.nz[n] = c.nz[k];
-  out.oriented[n] = c.oriented[k];
+  if (c.oriented) out.oriented[n] = c.oriented[k];
 }
 
 float gap_squared(const CandidateView& c, std::size_t k, const Corner& min, const Corner& max) {
@@ -101,7 +101,7 @@ CHIARO_INLINE void visit_tree(const BoxLevels& levels, const Boxes& boxes, const
 template <class Boxes, class Select>
 CHIARO_INLINE void tree_body(const BoxLevels& levels, Selection& out, const Boxes& boxes, const Select& select) {
   visit_tree(levels, boxes, [&](std::uint32_t group) {
-    out.reserve(out.num + kBoxedPoints, true, out.has_normals);
+    out.reserve(out.num + kBoxedPoints, out.has_index, out.has_normals);
     out.num = select(group * kBoxedPoints, out.num);
   });
 }
@@ -166,7 +166,7 @@ CHIARO_AVX2 inline void put_avx2(const CandidateView& c, std::size_t k, __m256 x
   put_lanes(&out.nx[n], _mm256_loadu_ps(c.nx + k), order);
   put_lanes(&out.ny[n], _mm256_loadu_ps(c.ny + k), order);
   put_lanes(&out.nz[n], _mm256_loadu_ps(c.nz + k), order);
-  put_lanes(&out.oriented[n], load_numbers(c.oriented + k), order);
+  if (c.oriented) put_lanes(&out.oriented[n], load_numbers(c.oriented + k), order);
 }
 
 // Behind the last candidate, up to a multiple of kLanes, there are far ones.
@@ -225,7 +225,7 @@ CHIARO_AVX512 inline void put_avx512(const CandidateView& c, std::size_t k, __m5
   put_lanes(&out.nx[n], _mm512_loadu_ps(c.nx + k), mask);
   put_lanes(&out.ny[n], _mm512_loadu_ps(c.ny + k), mask);
   put_lanes(&out.nz[n], _mm512_loadu_ps(c.nz + k), mask);
-  put_lanes(&out.oriented[n], _mm512_loadu_si512(c.oriented + k), mask);
+  if (c.oriented) put_lanes(&out.oriented[n], _mm512_loadu_si512(c.oriented + k), mask);
 }
 
 CHIARO_AVX512 std::size_t select_avx512(const CandidateView& c, std::size_t first, std::size_t last, const Corner& min, const Corner& max, float limit, std::size_t n, Selection& out) {
@@ -326,17 +326,15 @@ void select_near_box(const CandidateView& c, const Corner& min, const Corner& ma
 void split_near_box(const CandidateView& c, const Corner& min, const Corner& max, float near, float far, Selection& nearer, Selection& farther) {
   [[maybe_unused]] const VectorWidth width = vector_width();
   for (Selection* s : {&nearer, &farther}) {
-    s->reserve(c.num, false, false);
+    s->reserve(c.num, false, c.nx != nullptr);
     s->num = 0;
   }
-  CandidateView positions = c;
-  positions.nx = nullptr;
 #if defined(CHIARO_AVX2)
-  if (width == VectorWidth::kAvx512) split_avx512(positions, min, max, near, far, nearer, farther);
-  else if (width == VectorWidth::kAvx2) split_avx2(positions, min, max, near, far, nearer, farther);
-  else split_plain(positions, min, max, near, far, nearer, farther);
+  if (width == VectorWidth::kAvx512) split_avx512(c, min, max, near, far, nearer, farther);
+  else if (width == VectorWidth::kAvx2) split_avx2(c, min, max, near, far, nearer, farther);
+  else split_plain(c, min, max, near, far, nearer, farther);
 #else
-  split_plain(positions, min, max, near, far, nearer, farther);
+  split_plain(c, min, max, near, far, nearer, farther);
 #endif
   nearer.pad();
   farther.pad();
@@ -344,16 +342,15 @@ void split_near_box(const CandidateView& c, const Corner& min, const Corner& max
 
 void select_from_tree(const CandidateView& c, const BoxLevels& levels, const Corner& min, const Corner& max, float limit, Selection& out) {
   [[maybe_unused]] const VectorWidth width = vector_width();
-  const CandidateView positions{c.x, c.y, c.z, c.num, c.index};
 #if defined(CHIARO_AVX2)
   const auto boxes = [&](const EightBoxes& b) { return boxes_avx2(b, min, max, limit); };
   if (width == VectorWidth::kAvx512)
-    return tree_body(levels, out, boxes, [&](std::size_t first, std::size_t n) { return select_avx512(positions, first, first + kBoxedPoints, min, max, limit, n, out); });
+    return tree_body(levels, out, boxes, [&](std::size_t first, std::size_t n) { return select_avx512(c, first, first + kBoxedPoints, min, max, limit, n, out); });
   if (width == VectorWidth::kAvx2)
-    return tree_body(levels, out, boxes, [&](std::size_t first, std::size_t n) { return select_avx2(positions, first, first + kBoxedPoints, min, max, limit, n, out); });
+    return tree_body(levels, out, boxes, [&](std::size_t first, std::size_t n) { return select_avx2(c, first, first + kBoxedPoints, min, max, limit, n, out); });
 #endif
   tree_body(levels, out, [&](const EightBoxes& b) { return boxes_plain(b, min, max, limit); },
-            [&](std::size_t first, std::size_t n) { return select_plain(positions, first, first + kBoxedPoints, min, max, limit, n, out); });
+            [&](std::size_t first, std::size_t n) { return select_plain(c, first, first + kBoxedPoints, min, max, limit, n, out); });
 }
 
 void collect_within(const CandidateView& c, float x, float y, float z, float limit, NeighbourRow& out) {

@@ -28,7 +28,7 @@ struct Selection {
 
 /// Those within sqrt(limit) of a box, with what they are known by if asked for.
 void select_near_box(const CandidateView& candidates, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, bool with_index, Selection& out);
-/// Those within sqrt(near), and the others within sqrt(far); positions only.
+/// Those within sqrt(near), and the others within sqrt(far); with normals if the candidates have them.
 void split_near_box(const CandidateView& candidates, const std::array<float, 3>& min, const std::array<float, 3>& max, float near, float far, Selection& nearer, Selection& farther);
 
 /// A tree over points in groups of sixteen: level 0 holds the boxes of groups 8 i .. 8 i + 7 in its element i, each further level those of the elements below.
@@ -38,7 +38,8 @@ struct EightBoxes {
 };
 using BoxLevels = std::vector<std::vector<EightBoxes>>;
 inline constexpr std::size_t kBoxedPoints = 16;
-/// Appends the points within sqrt(limit) of a box, in their order, with their index, without normals. points: whole groups, padded with far ones.
+/// Appends the points within sqrt(limit) of a box, in their order, with their index and normals if the selection has them; the signs of these only if the points tell.
+/// points: whole groups, padded with far ones.
 void select_from_tree(const CandidateView& points, const BoxLevels& levels, const std::array<float, 3>& min, const std::array<float, 3>& max, float limit, Selection& out);
 
 /// The candidates within sqrt(limit) of the point but not on its spot, in their order.

@@ -76,7 +76,8 @@ static_assert(HaloChunk::kGroup == kLanes);
 
 /// Goes through a chunk in groups of consecutive points that share a search. The six nearest are looked for within kNearShare of the usual radius of the
 /// neighbourhood; they say how far each point looks. Fit answers: if kFitsGroups, fit_group() fits what it can of a group from two views, of all points within
-/// kInnerShare of the largest radius at least, and of the others within it; else fit_nearest() from a view of all points up to a distance.
+/// kInnerShare of the largest radius at least, and of the others within it; else fit_nearest() from a view of all points up to a distance, and one of the others up
+/// to kWideShare of the usual radius, both without normals where positions_tell_all().
 /// A Fit with wants() is asked before each search. Where these refuse, fit_near() fits a point from a view of all its neighbours, with their numbers among the candidates; then fit_one() from a complete
 /// list, or it refuses too and gets a larger one.
 template <class Fit>
@@ -94,6 +95,7 @@ class Walker {
       }
       run_radius_ = clamped(kRunShare * guess_);
       around_.gather(group_.box, run_radius_, Fit::kNeedsNormals, of_run_);
+      if constexpr (!Fit::kFitsGroups) positions_tell_all_ = fit_.positions_tell_all(begin, of_run_.renumbered());
       while (begin < end) {
         const std::uint32_t group_end = std::min(end, run_end(begin, kLanes, 3 * guess_, group_.box));
         if (wanted(begin, group_end)) run_group(begin, group_end);
@@ -160,6 +162,14 @@ class Walker {
     return of_group_;
   }
 
+  /// The same, without their normals if these tell nothing.
+  CandidateView candidates(float radius) {
+    const Selection& around = around_group(radius);
+    CandidateView view = around.renumbered();
+    if (&around == &of_run_ ? positions_tell_all_ : fit_.positions_tell_all(group_.begin, view)) view.nx = view.ny = view.nz = nullptr;
+    return view;
+  }
+
   void run_group(std::uint32_t begin, std::uint32_t end) {
     group_.begin = begin;
     group_.end = end;
@@ -182,9 +192,10 @@ class Walker {
         fit_.fit_group(group_, nearer_.view(), farther_.view(), fitted);
       }
     } else {
-      select_near_box(around_group(near).renumbered(), box.min, box.max, near * near, false, nearer_);
+      const float wide = Fit::kWideShare * guess_;
+      split_near_box(candidates(wide), box.min, box.max, near * near, wide * wide, nearer_, farther_);
       look_at_nearest(near);
-      fit_.fit_nearest(group_, nearer_.view(), near, fitted);
+      fit_.fit_nearest(group_, nearer_.view(), near, farther_.view(), wide, fitted);
       group_.most = 0;
       for (std::size_t at = 0; at < group_.size(); ++at)
         if (!fitted[at]) group_.most = std::max(group_.most, group_.radius[at]);
@@ -294,6 +305,7 @@ class Walker {
   static constexpr std::uint32_t kRun = 64;     // points that share a search in the leaves; groups then search in what it found
   static constexpr float kRunShare = Fit::kRunShare, kMostlyEnough = 1.2f;
   float guess_ = 0, run_radius_ = 0;
+  bool positions_tell_all_ = false;        // the normals around the run can be left out
   Selection of_run_, of_group_, single_;   // as gathered: known by their place here
   Selection nearer_, farther_, all_;
   SearchGroup group_;

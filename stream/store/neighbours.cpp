@@ -46,9 +46,26 @@ void put(BoxLevels& levels, std::size_t level, std::size_t number, const FlatBox
   }
 }
 
+// Four side by side, and these together at the end: of a whole group.
+void extent_of(const float* v, float& low, float& high) {
+  std::array<float, 4> least, most;
+  for (std::size_t k = 0; k < 4; ++k) least[k] = most[k] = v[k];
+  for (std::size_t i = 4; i < HaloChunk::kGroup; i += 4)
+    for (std::size_t k = 0; k < 4; ++k) {
+      least[k] = v[i + k] < least[k] ? v[i + k] : least[k];
+      most[k] = v[i + k] > most[k] ? v[i + k] : most[k];
+    }
+  low = std::min(std::min(least[0], least[1]), std::min(least[2], least[3]));
+  high = std::max(std::max(most[0], most[1]), std::max(most[2], most[3]));
+}
+
 void build_levels(HaloChunk& c) {
   std::vector<FlatBox> boxes(c.x.size() / HaloChunk::kGroup, empty_box());
-  for (std::size_t i = 0; i < c.size; ++i) extend(boxes[i / HaloChunk::kGroup], {{c.x[i], c.y[i], c.z[i]}, {c.x[i], c.y[i], c.z[i]}});
+  const std::size_t whole = c.size / HaloChunk::kGroup;
+  const float* const columns[3] = {c.x.data(), c.y.data(), c.z.data()};
+  for (std::size_t group = 0; group < whole; ++group)
+    for (std::size_t a = 0; a < 3; ++a) extent_of(columns[a] + group * HaloChunk::kGroup, boxes[group].min[a], boxes[group].max[a]);
+  for (std::size_t i = whole * HaloChunk::kGroup; i < c.size; ++i) extend(boxes[whole], {{c.x[i], c.y[i], c.z[i]}, {c.x[i], c.y[i], c.z[i]}});
   for (;;) {
     c.levels.emplace_back();
     for (std::size_t i = 0; i < boxes.size(); ++i) put(c.levels, c.levels.size() - 1, i, boxes[i]);
@@ -70,49 +87,97 @@ HaloChunk::FlatBox HaloChunk::box_of_group(std::uint32_t group) const {
 
 std::uint64_t HaloChunk::bytes_for(std::uint32_t count) { return 34ull * count + 1024; }
 
+namespace {
+
+// The first so many surfels of a block, each on a spot of its own?
+bool all_differ(const SurfelBlock& b, std::uint32_t count) {
+  std::uint32_t same = 0;
+  for (std::uint32_t lane = 1; lane < count; ++lane) same |= static_cast<std::uint32_t>((b.x[lane] == b.x[lane - 1]) & (b.y[lane] == b.y[lane - 1]) & (b.z[lane] == b.z[lane - 1]));
+  return same == 0;
+}
+
+// Appends the points of blocks to a chunk that has room for all.
+class HaloFiller {
+ public:
+  HaloFiller(HaloChunk& chunk, float step, bool with_normals) : c_(chunk), step_(step), with_normals_(with_normals) {}
+
+  void add(const SurfelBlock& b, std::uint32_t first_slot, std::uint32_t count) {
+    const std::array<std::uint16_t, 3> first{b.x[0], b.y[0], b.z[0]};
+    if (count == kBlockSurfels && all_differ(b, count) && (first_slot == 0 || first != before_)) {
+      add_whole(b, first_slot);
+    } else {
+      if (with_normals_) decode_normals(b, nx_.data(), ny_.data(), nz_.data());
+      for (std::uint32_t lane = 0; lane < count; ++lane) add_one(b, first_slot + lane, lane);
+    }
+    before_ = {b.x[count - 1], b.y[count - 1], b.z[count - 1]};
+  }
+
+ private:
+  void add_whole(const SurfelBlock& b, std::uint32_t first_slot) {
+    const std::size_t i = c_.size;
+    place(b.x, &c_.x[i]);
+    place(b.y, &c_.y[i]);
+    place(b.z, &c_.z[i]);
+    if (with_normals_) decode_normals(b, &c_.nx[i], &c_.ny[i], &c_.nz[i]);
+    for (std::uint32_t lane = 0; lane < kBlockSurfels; ++lane) {
+      c_.flags[i + lane] = b.flags[lane] & SurfelBlock::kFlags;
+      c_.first_slot[i + lane] = first_slot + lane;
+    }
+    c_.size += kBlockSurfels;
+  }
+
+  void place(const std::array<std::uint16_t, kBlockSurfels>& q, float* to) const {
+    for (std::size_t lane = 0; lane < kBlockSurfels; ++lane) to[lane] = (static_cast<float>(q[lane]) + 0.5f) * step_;
+  }
+
+  void add_one(const SurfelBlock& b, std::uint32_t slot, std::uint32_t lane) {
+    const std::array<std::uint16_t, 3> q{b.x[lane], b.y[lane], b.z[lane]};
+    if (slot > 0 && q == before_) return;
+    before_ = q;
+    const std::size_t i = c_.size++;
+    c_.first_slot[i] = slot;
+    c_.x[i] = (static_cast<float>(q[0]) + 0.5f) * step_;
+    c_.y[i] = (static_cast<float>(q[1]) + 0.5f) * step_;
+    c_.z[i] = (static_cast<float>(q[2]) + 0.5f) * step_;
+    if (with_normals_) {
+      c_.nx[i] = nx_[lane];
+      c_.ny[i] = ny_[lane];
+      c_.nz[i] = nz_[lane];
+    }
+    c_.flags[i] = b.flags[lane] & SurfelBlock::kFlags;
+  }
+
+  HaloChunk& c_;
+  float step_;
+  bool with_normals_;
+  std::array<std::uint16_t, 3> before_{};
+  std::array<float, kBlockSurfels> nx_, ny_, nz_;
+};
+
+std::size_t whole_groups(std::uint32_t count) { return (count + HaloChunk::kGroup - 1) / HaloChunk::kGroup * HaloChunk::kGroup; }
+
+}  // namespace
+
 std::shared_ptr<const HaloChunk> make_halo_chunk(std::uint32_t index, const ChunkFrame& frame, const std::vector<SurfelBlock>& blocks, std::uint32_t count, bool with_normals) {
   auto chunk = std::make_shared<HaloChunk>();
   HaloChunk& c = *chunk;
   c.index = index;
   c.origin_in_world = frame.origin_in_world;
-  const auto step = static_cast<float>(frame.step);
-  const std::size_t room = (count + HaloChunk::kGroup - 1) / HaloChunk::kGroup * HaloChunk::kGroup;
-  c.x.assign(room, kFar);
-  c.y.assign(room, kFar);
-  c.z.assign(room, kFar);
-  c.flags.resize(room);
-  c.first_slot.reserve(count + 1);
-  if (with_normals)
-    for (std::vector<float>* v : {&c.nx, &c.ny, &c.nz}) v->resize(room);
-  std::array<std::uint16_t, 3> before{};
-  std::array<float, kBlockSurfels> nx, ny, nz;
-  for (std::uint32_t first = 0; first < count; first += kBlockSurfels) {
-    const SurfelBlock& b = blocks[first / kBlockSurfels];
-    if (with_normals) decode_normals(b, nx.data(), ny.data(), nz.data());
-    for (std::uint32_t lane = 0; lane < std::min<std::uint32_t>(kBlockSurfels, count - first); ++lane) {
-      const std::array<std::uint16_t, 3> q{b.x[lane], b.y[lane], b.z[lane]};
-      if (first + lane > 0 && q == before) continue;
-      before = q;
-      const std::size_t i = c.first_slot.size();
-      c.first_slot.push_back(first + lane);
-      c.x[i] = (static_cast<float>(q[0]) + 0.5f) * step;
-      c.y[i] = (static_cast<float>(q[1]) + 0.5f) * step;
-      c.z[i] = (static_cast<float>(q[2]) + 0.5f) * step;
-      if (with_normals) {
-        c.nx[i] = nx[lane];
-        c.ny[i] = ny[lane];
-        c.nz[i] = nz[lane];
-      }
-      c.flags[i] = b.flags[lane] & SurfelBlock::kFlags;
-    }
-  }
-  c.size = static_cast<std::uint32_t>(c.first_slot.size());
-  c.first_slot.push_back(count);
-  const std::size_t padded = (c.size + HaloChunk::kGroup - 1) / HaloChunk::kGroup * HaloChunk::kGroup;
-  for (std::vector<float>* v : {&c.x, &c.y, &c.z}) v->resize(padded);
-  c.flags.resize(padded);
-  if (with_normals)
-    for (std::vector<float>* v : {&c.nx, &c.ny, &c.nz}) v->resize(padded);
+  const auto resize = [&](std::size_t room) {
+    for (std::vector<float>* v : {&c.x, &c.y, &c.z}) v->resize(room);
+    if (with_normals)
+      for (std::vector<float>* v : {&c.nx, &c.ny, &c.nz}) v->resize(room);
+    c.flags.resize(room);
+  };
+  resize(whole_groups(count));
+  c.first_slot.resize(count + 1);
+  HaloFiller filler(c, static_cast<float>(frame.step), with_normals);
+  for (std::uint32_t first = 0; first < count; first += kBlockSurfels) filler.add(blocks[first / kBlockSurfels], first, std::min<std::uint32_t>(kBlockSurfels, count - first));
+  c.first_slot[c.size] = count;
+  c.first_slot.resize(c.size + 1);
+  resize(whole_groups(c.size));
+  for (std::vector<float>* v : {&c.x, &c.y, &c.z}) std::fill(v->begin() + c.size, v->end(), kFar);
+  c.any_oriented = std::any_of(c.flags.begin(), c.flags.begin() + c.size, [](std::uint8_t flags) { return (flags & SurfelBlock::kOriented) != 0; });
   build_levels(c);
   return chunk;
 }
@@ -183,16 +248,16 @@ void Neighbourhood::find_near(float radius) {
 
 void Neighbourhood::gather_from(const HaloChunk& c, const FlatBox& box, float radius, const Vec3d* shift, Selection& out) {
   const std::size_t first = out.num;
-  select_from_tree({c.x.data(), c.y.data(), c.z.data(), c.x.size()}, c.levels, box.min, box.max, radius * radius, out);
+  CandidateView points{c.x.data(), c.y.data(), c.z.data(), c.x.size()};
   if (out.has_normals) {
-    for (std::size_t i = first; i < out.num; ++i) {
-      const std::size_t from = out.index[i];
-      out.nx[i] = c.nx[from];
-      out.ny[i] = c.ny[from];
-      out.nz[i] = c.nz[from];
-      out.oriented[i] = 0u - static_cast<std::uint32_t>((c.flags[from] & SurfelBlock::kOriented) != 0);
-    }
+    points.nx = c.nx.data();
+    points.ny = c.ny.data();
+    points.nz = c.nz.data();
   }
+  select_from_tree(points, c.levels, box.min, box.max, radius * radius, out);
+  if (out.has_normals && !c.any_oriented) std::fill(out.oriented.begin() + static_cast<std::ptrdiff_t>(first), out.oriented.begin() + static_cast<std::ptrdiff_t>(out.num), 0u);
+  if (out.has_normals && c.any_oriented)
+    for (std::size_t i = first; i < out.num; ++i) out.oriented[i] = 0u - static_cast<std::uint32_t>((c.flags[out.index[i]] & SurfelBlock::kOriented) != 0);
   if (!shift) return;
   for (std::size_t i = first; i < out.num; ++i) {
     out.x[i] = static_cast<float>(shift->x() + out.x[i]);
@@ -204,7 +269,7 @@ void Neighbourhood::gather_from(const HaloChunk& c, const FlatBox& box, float ra
 void Neighbourhood::gather(const FlatBox& box, float radius, bool with_normals, Selection& out) {
   if (radius > near_radius_) find_near(2 * radius);
   out.num = 0;
-  out.reserve(0, true, with_normals);
+  out.reserve(0, with_normals, with_normals);   // by which it is looked up whether signs are known
   gather_from(*own_, box, radius, nullptr, out);
   for (const Near& n : near_) {
     if (gap_squared(n.box, box) > radius * radius) continue;

@@ -24,6 +24,7 @@ struct HaloChunk {
   std::vector<float> nx, ny, nz;                     ///< unit normal of the first surfel on the spot; empty while normals are being fitted
   std::vector<std::uint8_t> flags;                   ///< of the first surfel on the spot
   std::vector<std::uint32_t> first_slot;             ///< size + 1
+  bool any_oriented = false;                         ///< some flags say that the sign of the normal is known
   struct FlatBox {
     std::array<float, 3> min, max;
   };

@@ -103,33 +103,19 @@ class NormalFitter : public PlaneWalk {
 
   /// What plane_of_scales() does, for the points of a group that have enough neighbours around them. Only `nearer` has those of the narrowest scale.
   void fit_group(const SearchGroup& group, const CandidateView& nearer, const CandidateView& farther, std::array<bool, kLanes>& fitted) {
-    LaneMoments wide_sums, narrow_sums;
+    LaneMoments wide_sums;
     const LaneFloats wide_limits = limits_of(group, 0);
-    add_moments(nearer, group.points, wide_limits, limits_of(group, kScales - 1), wide_sums, narrow_sums);
+    add_moments(nearer, group.points, wide_limits, wide_sums);
     add_moments(farther, group.points, wide_limits, wide_sums);
-    planes_of(narrow_sums, narrow_);
     planes_of(wide_sums, planes_);
-    const auto as_flat = [&](std::size_t lane, const LaneMoments& of) {
-      return planes_.sure[lane] && planes_.variance_off[lane] <= flat_limit(narrow_.variance_off[lane], noise_variance_, static_cast<double>(of.sum[kTerms - 1][lane]) - 1);
-    };
-    unsigned rough = 0;
-    for (std::size_t lane = 0; lane < kLanes; ++lane) rough |= static_cast<unsigned>(!as_flat(lane, wide_sums)) << lane;
-    if (rough != 0) {
-      LaneMoments sums;
-      const LaneFloats middle_limits = limits_of(group, 1);
-      add_moments(nearer, group.points, middle_limits, sums);
-      add_moments(farther, group.points, middle_limits, sums);
-      planes_of(sums, middle_);
-      for (std::size_t lane = 0; lane < kLanes; ++lane) {
-        if ((rough >> lane & 1) == 0) continue;
-        planes_.take(lane, middle_);
-        if (!as_flat(lane, sums)) planes_.take(lane, narrow_);
-      }
-    }
+    // Where the widest plane is as flat as the noise lets it be, it is the answer, whatever the narrower ones are like: nearly everywhere.
+    unsigned open = 0, sure = 0xffff, rough = 0;
+    for (std::size_t lane = 0; lane < kLanes; ++lane) open |= static_cast<unsigned>(!as_flat(lane, wide_sums, 0)) << lane;
+    if (open != 0) rough = take_narrower(group, nearer, farther, wide_sums, open, sure);
     normals_of(planes_, normals_);
     for (std::size_t lane = 0; lane < group.size(); ++lane) {
       const bool all = group.radius[lane] > 0 && wide_sums.sum[kTerms - 1][lane] <= static_cast<float>(options_.most + 1);
-      if (!all || !narrow_.sure[lane] || !normals_.clear[lane]) continue;
+      if (!all || (sure >> lane & 1) == 0 || !normals_.clear[lane]) continue;
       fits_[group.begin + lane] = {Vec3d(normals_.x[lane], normals_.y[lane], normals_.z[lane]).cast<float>(), false, (rough >> lane & 1) != 0};
       fitted[lane] = true;
     }
@@ -166,6 +152,36 @@ class NormalFitter : public PlaneWalk {
   }
 
  private:
+  bool as_flat(std::size_t lane, const LaneMoments& of, double narrow_variance) const {
+    return planes_.sure[lane] && planes_.variance_off[lane] <= flat_limit(narrow_variance, noise_variance_, static_cast<double>(of.sum[kTerms - 1][lane]) - 1);
+  }
+
+  /// For the open lanes: the widest plane that is as flat as the narrowest. Returns those for which it is not the widest of all; clears in `sure` those without
+  /// a narrowest one.
+  unsigned take_narrower(const SearchGroup& group, const CandidateView& nearer, const CandidateView& farther, const LaneMoments& wide_sums, unsigned open, unsigned& sure) {
+    LaneMoments sums;
+    add_moments(nearer, group.points, limits_of(group, kScales - 1), sums);
+    planes_of(sums, narrow_);
+    unsigned rough = 0;
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      if ((open >> lane & 1) == 0) continue;
+      if (!narrow_.sure[lane]) sure &= ~(1u << lane);
+      rough |= static_cast<unsigned>(!as_flat(lane, wide_sums, narrow_.variance_off[lane])) << lane;
+    }
+    if (rough == 0) return rough;
+    sums = {};
+    const LaneFloats middle_limits = limits_of(group, 1);
+    add_moments(nearer, group.points, middle_limits, sums);
+    add_moments(farther, group.points, middle_limits, sums);
+    planes_of(sums, middle_);
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      if ((rough >> lane & 1) == 0) continue;
+      planes_.take(lane, middle_);
+      if (!as_flat(lane, sums, narrow_.variance_off[lane])) planes_.take(lane, narrow_);
+    }
+    return rough;
+  }
+
   void set(std::size_t i, const Plane& plane, bool rough) {
     fits_[i] = normal_of(plane);
     fits_[i].rough = rough && !fits_[i].isolated;

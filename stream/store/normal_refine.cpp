@@ -21,7 +21,7 @@ double square(double v) { return v * v; }
 class NormalRefiner {
  public:
   static constexpr bool kNeedsNormals = true, kFitsGroups = false;
-  static constexpr float kNearShare = 0.7f, kRunShare = 1.4f;
+  static constexpr float kNearShare = 0.7f, kWideShare = kNearShare, kRunShare = 1.4f;
   NormalRefiner(const HaloChunk& own, const FitOptions& options, const std::vector<std::uint8_t>& wanted, std::vector<Vec3f>& normals)
       : own_(own), options_(options), wanted_(wanted), normals_(normals) {}
 
@@ -29,7 +29,8 @@ class NormalRefiner {
     return std::any_of(wanted_.begin() + begin, wanted_.begin() + end, [](std::uint8_t w) { return w != 0; });
   }
 
-  void fit_nearest(const SearchGroup& group, const CandidateView&, float, std::array<bool, kLanes>& fitted) const {
+  static bool positions_tell_all(std::uint32_t, const CandidateView&) { return true; }   // the nearest, who they are
+  void fit_nearest(const SearchGroup& group, const CandidateView&, float, const CandidateView&, float, std::array<bool, kLanes>& fitted) const {
     for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = wanted_[group.begin + at] == 0;
   }
 

@@ -20,7 +20,7 @@ namespace chiaro::stream {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr int kAlgorithmVersion = 9;      // part of the key: raise when the same input gives another store
+constexpr int kAlgorithmVersion = 10;     // part of the key: raise when the same input gives another store
 constexpr std::size_t kBlockPoints = 65536;
 constexpr std::uint64_t kMostPartitionPoints = 400'000;
 constexpr double kMaxCoordinate = 1e9;    // project units

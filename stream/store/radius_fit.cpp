@@ -3,6 +3,7 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <span>
 
 #include "stream/store/border_line.h"
 #include "stream/store/neighbour_walk.h"
@@ -18,21 +19,20 @@ class RadiusFitter {
   RadiusFitter(const HaloChunk& own, const FitOptions& options, std::vector<RadiusFit>& fits) : own_(own), options_(options), fits_(fits) {}
 
   static constexpr bool kNeedsNormals = true, kFitsGroups = false;
-  static constexpr float kNearShare = 1.05f, kRunShare = 1.2f;
+  static constexpr float kNearShare = 0.7f, kWideShare = 1.05f, kRunShare = 1.2f;
 
-  // The nearest of the neighbours settle most cells: what is further than twice the farthest corner cuts nothing.
-  void fit_nearest(const SearchGroup& group, const CandidateView& view, float near, std::array<bool, kLanes>& fitted) {
-    std::array<float, kLanes> reach{};
+  /// Whether all of the candidates are turned like the point: no two of them are on different faces then.
+  bool positions_tell_all(std::uint32_t i, const CandidateView& candidates) const { return all_alike(candidates, {own_.nx[i], own_.ny[i], own_.nz[i]}, kOneFace); }
+
+  // The nearest of the neighbours settle most cells: what is further than twice the farthest corner cuts nothing. The others are looked at where they do not.
+  void fit_nearest(const SearchGroup& group, const CandidateView& nearer, float near, const CandidateView& farther, float wide, std::array<bool, kLanes>& fitted) {
+    const std::array<const CandidateView*, 2> both{&nearer, &farther};
+    if (!nearer.nx) return fit_smooth(group, both, near, wide, fitted);
     // All lines first, then all cells: what has just been written in pieces is slow to read as a whole.
-    for (std::size_t at = 0; at < group.size(); ++at) {
-      if (group.radius[at] == 0) continue;
-      const float radius = std::min(near, group.radius[at]);
-      reach[at] = group.radius[at] <= near ? kAllNeighbours : near;
-      if (!make_lines(group, at, view, radius, lines_[at]) || lines_[at].num > options_.most) reach[at] = 0;
-    }
+    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = start_lines(group, at, both, near, wide);
     for (std::size_t at = 0; at < group.size(); ++at)
-      if (reach[at] > 0) start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
-    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = reach[at] > 0 && fit_inside(group, at, reach[at]);
+      if (fitted[at]) start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
+    for (std::size_t at = 0; at < group.size(); ++at) fitted[at] = fitted[at] && fit_inside(group, at, both);
   }
 
   bool fit_near(const SearchGroup& group, std::size_t at, const CandidateView& view, const Selection& c) {
@@ -40,9 +40,10 @@ class RadiusFitter {
     const float radius = group.radius[at];
     collect_within(view, own_.x[i], own_.y[i], own_.z[i], radius * radius, row_);
     if (row_.num > options_.most) return false;
-    if (make_lines(group, at, view, radius, lines_[at])) {
+    const std::array<const CandidateView*, 1> views{&view};
+    if (!reaches_[at].saw_all() && start_lines(group, at, views, radius, radius)) {
       start_cell(lines_[at], 3 * scale_of(group, at), cells_[at]);
-      if (fit_inside(group, at, kAllNeighbours)) return true;
+      if (fit_inside(group, at, views)) return true;
     }
     make_list(group, at);
     return fit_one(static_cast<std::uint32_t>(i), list_, c, false);
@@ -63,6 +64,8 @@ class RadiusFitter {
  private:
   static constexpr float kSameFace = 0.9f;
   static constexpr float kEdgeReach = 2.2f, kOtherFace = 0.82f;
+  static constexpr float kOneFace = 0.954f;     // half the angle of kOtherFace, and a little less
+  static constexpr float kFirstShare = 0.68f;   // of the radius of the search: what is looked at first
   static constexpr float kAllNeighbours = 1e30f;
   static constexpr float kBorderReach = 3, kMostToBorder = 1, kBeyondBorder = 0.4f;
   static constexpr float kRidgeShare = 0.45f, kMostBeyondAll = 1.4f, kLeastOnRidge = 0.8f, kOverFarEdge = 0.25f;
@@ -78,12 +81,77 @@ class RadiusFitter {
     return height * height > 0.1f * list.nearest_squared[kNearest - 1];
   }
 
+  using Views = std::span<const CandidateView* const>;
+
+  // Within which distances a point's neighbours have been looked at.
+  struct Reach {
+    float now = 0, most = 0;   // the views have all up to `most`
+    bool all = false;          // and there are no others
+    bool saw_all() const { return all && now == most; }
+    float seen() const { return saw_all() ? kAllNeighbours : now; }
+  };
+
   // False for what fit_inside() is not for.
-  bool make_lines(const SearchGroup& group, std::size_t at, const CandidateView& view, float reach, TangentLines& lines) const {
+  bool begin(const SearchGroup& group, std::size_t at, float edge_reach, float wide) {
     const std::size_t i = group.begin + at;
+    const float radius = group.radius[at];
+    reaches_[at] = {0, std::min(wide, radius), radius <= wide};
+    if (radius == 0 || (own_.flags[i] & SurfelBlock::kIsolated) || edge_reach > reaches_[at].most) return false;
+    frames_[at] = frame_of(i, edge_reach);
+    return true;
+  }
+
+  // There are so many within what has been looked at that of all probably not all count.
+  bool is_crowded(const SearchGroup& group, std::size_t at) const {
+    const float share = reaches_[at].now / group.radius[at];
+    return static_cast<float>(lines_[at].num) > share * share * static_cast<float>(options_.most);
+  }
+
+  // Lines to the nearest, of which the first view has all up to `near`. False for other faces and crowds, too.
+  bool start_lines(const SearchGroup& group, std::size_t at, Views views, float near, float wide) {
     const float edge_reach = kEdgeReach * group.mean[at];
-    if ((own_.flags[i] & SurfelBlock::kIsolated) || edge_reach > reach) return false;
-    return lines.make(view, own_.x[i], own_.y[i], own_.z[i], reach * reach, frame_of(i, edge_reach)) && lines.num >= kNearest;
+    if (!begin(group, at, edge_reach, wide)) return false;
+    lines_[at].clear();
+    if (!add_lines(group, at, views.first(1), std::min({near, reaches_[at].most, std::max(kFirstShare * group.radius[at], edge_reach)}))) return false;
+    if (edge_reach > reaches_[at].now && !add_lines(group, at, views, reaches_[at].most)) return false;
+    return !is_crowded(group, at);
+  }
+
+  // The same and more where there are no other faces.
+  void fit_smooth(const SearchGroup& group, Views views, float near, float wide, std::array<bool, kLanes>& fitted) {
+    for (std::size_t at = 0; at < group.size(); ++at) {
+      const std::size_t i = group.begin + at;
+      SmoothPoint& p = smooth_[at];
+      p.wanted = begin(group, at, 0, wide);
+      p.started = false;
+      p.distance = 0;
+      if (!p.wanted) continue;
+      p.place = {own_.x[i], own_.y[i], own_.z[i]};
+      p.frame = frames_[at];
+      p.scale = scale_of(group, at);
+      p.half = 3 * p.scale;
+      p.reach = reaches_[at].now = std::min({near, reaches_[at].most, kFirstShare * group.radius[at]});
+    }
+    nearest_corners(*views[0], std::span(smooth_).first(group.size()), lines_, cells_);
+    for (std::size_t at = 0; at < group.size(); ++at) {
+      fitted[at] = smooth_[at].wanted && !is_crowded(group, at);
+      if (fitted[at] && smooth_[at].distance > 0) set_inside(group, at, smooth_[at].distance);
+      else fitted[at] = fitted[at] && fit_inside(group, at, views);
+    }
+  }
+
+  // Those further away than has been looked at. False if one is on another face.
+  bool add_lines(const SearchGroup& group, std::size_t at, Views views, float distance) {
+    const std::size_t i = group.begin + at;
+    Reach& reach = reaches_[at];
+    const float above = reach.now * reach.now;
+    reach.now = distance;
+    for (const CandidateView* view : views) {
+      if (lines_[at].add(*view, {own_.x[i], own_.y[i], own_.z[i]}, above, distance * distance, frames_[at])) continue;
+      reach = {reach.most, reach.most, true};   // no more need be known
+      return false;
+    }
+    return true;
   }
 
   // Along scan lines the nearest are much closer than the next line: the search radius knows.
@@ -92,17 +160,26 @@ class RadiusFitter {
     return std::max(group.mean[at], radius < options_.max_radius ? radius / static_cast<float>(options_.radius_spacings) : 0.0f);
   }
 
-  // What nearly all points are: amid a smooth surface, their cell closed by neighbours on all sides. False for all others, and if the neighbours within
-  // `reach`, of whose lines the cell was started, do not tell.
-  bool fit_inside(const SearchGroup& group, std::size_t at, float reach) {
-    const std::size_t i = group.begin + at;
-    const float mean = group.mean[at], scale = scale_of(group, at);
-    const float within = farthest_corner(lines_[at], cells_[at], 3 * scale, scale, reach);
-    if (!(within > 0)) return false;
-    fits_[i] = RadiusFit{};
-    fits_[i].mean_of_nearest = mean;
-    fits_[i].radius = disc_radius(within, scale, false);
-    return true;
+  // What nearly all points are: amid a smooth surface, their cell closed by neighbours on all sides, where the surface goes on behind its farthest corner. The cell
+  // has been started. False for all others.
+  bool fit_inside(const SearchGroup& group, std::size_t at, Views views) {
+    const float scale = scale_of(group, at);
+    const Reach& reach = reaches_[at];
+    for (;;) {
+      const Corner corner = farthest_corner(lines_[at], cells_[at], 3 * scale);
+      const float d = corner.distance;
+      if (d > 0 && 2 * d <= reach.seen() && (d <= scale || lines_[at].is_beyond(corner.x / d, corner.y / d, d))) {
+        set_inside(group, at, d);
+        return true;
+      }
+      if (reach.now == reach.most || !add_lines(group, at, views, reach.most) || lines_[at].num > options_.most) return false;
+    }
+  }
+
+  void set_inside(const SearchGroup& group, std::size_t at, float corner_distance) {
+    fits_[group.begin + at] = RadiusFit{};
+    fits_[group.begin + at].mean_of_nearest = group.mean[at];
+    fits_[group.begin + at].radius = disc_radius(corner_distance, scale_of(group, at), false);
   }
 
   // Two unit vectors across the normal. source: Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 2017.
@@ -116,26 +193,26 @@ class RadiusFitter {
     return std::clamp(1.1f * within, 0.75f * scale, std::max(1.1f * within, scale));
   }
 
-  // Distance of the farthest corner of the Voronoi cell in the tangent plane. 0 if the cell is not closed by neighbours, if the corner does not lie inside the
-  // surface, or if it cannot be told from those within `reach`. The started cell is too large; its corners are cut, the farthest first, until the farthest
-  // is right: all others are nearer then.
-  static float farthest_corner(const TangentLines& lines, CellCorners& c, float half, float scale, float reach) {
-    for (;;) {
+  struct Corner {
+    float x = 0, y = 0, distance = 0;
+  };
+  // The farthest corner of the cell that the lines make in the tangent plane; distance 0 if these do not close it. The cell as it stands is too large; its corners
+  // are cut, the farthest first, until the farthest is right: all others are nearer then.
+  static Corner farthest_corner(const TangentLines& lines, CellCorners& c, float half) {
+    for (std::size_t cuts = 0; cuts < CellCorners::kMost; ++cuts) {
       const std::size_t at = c.farthest();
       const float squared = c.squared[at], x = c.x[at], y = c.y[at];
-      if (!(squared >= 0 && std::isfinite(squared))) return 0;
+      if (!(squared >= 0 && std::isfinite(squared))) return {};
       const std::size_t cut = lines.line_before(x, y);
       if (cut < lines.num) {
-        if (c.size == CellCorners::kMost) return 0;
-        const float wx = lines.wx[cut], wy = lines.wy[cut];
-        c.set(c.size++, wx, wy, c.bx[at], c.by[at]);
-        c.set(at, c.ax[at], c.ay[at], wx, wy);
+        if (!c.cut(at, lines.wx[cut], lines.wy[cut])) return {};
         continue;
       }
       const float d = std::sqrt(squared);
-      if (std::max(std::abs(x), std::abs(y)) >= 0.9999f * half || 2 * d > reach) return 0;
-      return d <= scale || lines.is_beyond(x / d, y / d, d) ? d : 0;
+      if (std::max(std::abs(x), std::abs(y)) >= 0.9999f * half) return {};
+      return {x, y, d};
     }
+    return {};
   }
 
   // The nearest first: they settle most of the cell.
@@ -255,8 +332,10 @@ class RadiusFitter {
     const float scale = std::max(mean, list.radius < options_.max_radius ? list.radius / static_cast<float>(options_.radius_spacings) : 0.0f);
     const Face face{own_normal(i), (own_.flags[i] & SurfelBlock::kOriented) != 0};
     project(face, list);
-    TangentCell cell = cell_of(face, list, c, scale, false);
-    if (is_ridge(face, list, c, kEdgeReach * mean) || (!cell.bounded() && few_on_face(face, list, c))) cell = cell_of(face, list, c, scale, true);
+    bool of_all = true;
+    TangentCell cell = cell_of(face, list, c, scale, false, of_all);
+    if (!of_all && (is_ridge(face, list, c, kEdgeReach * mean) || (!cell.bounded() && few_on_face(face, list, c)))) cell = cell_of(face, list, c, scale, true, of_all);
+    const float farthest_of_all = of_all ? cell.farthest_squared() : -1;
     float within = 0;   // the farthest corner that lies inside the surface
     bool open = false;
     bool clipped = cut_cell(i, face, scale, cell, within, open);
@@ -265,7 +344,8 @@ class RadiusFitter {
     const float radius = std::min(disc_radius(within, scale, open), std::max(kLeastOnRidge, far_edge_ / mean + kOverFarEdge) * mean);
     if (radius <= kMostBeyondAll * scale) return radius;
     // Near an edge the disc reaches over what belongs to points of the other face, but not as far as those that stand out of the surface would.
-    return std::min(radius, std::max(scale, kMostBeyondAll * 1.1f * std::sqrt(cell_of(face, list, c, scale, true).farthest_squared())));
+    const float farthest = farthest_of_all >= 0 ? farthest_of_all : cell_of(face, list, c, scale, true, of_all).farthest_squared();
+    return std::min(radius, std::max(scale, kMostBeyondAll * 1.1f * std::sqrt(farthest)));
   }
 
   // Ends the cell where the disc ends; does it reach that far?
@@ -342,14 +422,19 @@ class RadiusFitter {
     return static_cast<float>(counts.on_face) < kRidgeShare * static_cast<float>(counts.near);
   }
 
-  TangentCell cell_of(const Face& face, const NeighbourList& list, const Selection& c, float scale, bool use_all) const {
+  // of_all: nobody was left out.
+  TangentCell cell_of(const Face& face, const NeighbourList& list, const Selection& c, float scale, bool use_all, bool& of_all) const {
     TangentCell cell(3 * scale);
+    of_all = true;
     for (std::size_t k = 0; k < list.size(); ++k) {
       const float distance_squared = list.distance_squared[k];
       if (distance_squared > 4 * cell.farthest_squared()) continue;
       // The tangent plane meets the plane half-way between the two points where offset . x = distance^2 / 2.
       if (!cell.cuts(tangent_u_[k], tangent_v_[k], 0.5f * distance_squared)) continue;
-      if (!use_all && !face.holds(list.offset(k), distance_squared, list.candidate[k], c)) continue;
+      if (!use_all && !face.holds(list.offset(k), distance_squared, list.candidate[k], c)) {
+        of_all = false;
+        continue;
+      }
       cell.clip(tangent_u_[k], tangent_v_[k], 0.5f * distance_squared);
     }
     return cell;
@@ -359,6 +444,9 @@ class RadiusFitter {
   const FitOptions& options_;
   std::vector<RadiusFit>& fits_;
   NeighbourRow row_;
+  std::array<Reach, kLanes> reaches_;
+  std::array<SmoothPoint, kLanes> smooth_;
+  std::array<TangentFrame, kLanes> frames_;
   std::array<TangentLines, kLanes> lines_;
   std::array<CellCorners, kLanes> cells_;
   NeighbourList list_;

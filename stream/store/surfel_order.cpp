@@ -10,31 +10,6 @@
 namespace chiaro::stream {
 namespace {
 
-constexpr std::size_t kFew = 64;        // positions of which each is compared with each
-constexpr std::size_t kMostBins = 256;
-
-std::uint32_t coordinate(std::uint64_t item, int axis) { return static_cast<std::uint32_t>(item >> (16 * axis)) & 0xffff; }
-bool same_spot(std::uint64_t a, std::uint64_t b) { return ((a ^ b) & 0xffffffffffffull) == 0; }
-
-struct Range {
-  std::uint32_t low = 65535, high = 0;
-  void add(std::uint32_t v) {
-    low = std::min(low, v);
-    high = std::max(high, v);
-  }
-};
-
-/// The value with at most `rank` smaller ones and more than that up to it.
-std::uint32_t value_at(std::span<const std::uint16_t> values, std::size_t rank) {
-  std::uint32_t found = 0;
-  for (const std::uint16_t v : values) {
-    std::uint16_t below = 0;
-    for (const std::uint16_t other : values) below = static_cast<std::uint16_t>(below + (other < v));
-    if (below <= rank) found = std::max<std::uint32_t>(found, v);
-  }
-  return found;
-}
-
 StoredPosition position_of(const std::vector<SurfelBlock>& blocks, std::uint32_t slot) {
   const SurfelBlock& b = blocks[slot / kBlockSurfels];
   const std::size_t lane = slot % kBlockSurfels;
@@ -88,101 +63,78 @@ void sort_by_code(std::vector<std::uint64_t>& items, std::vector<std::uint64_t>&
 
 std::span<const std::uint16_t> PatchOrder::of(std::span<const StoredPosition> positions) {
   const std::size_t n = positions.size();
-  items_.resize(n);
-  other_.resize(n);
-  order_.resize(n);
+  items_.make_room(n);
+  other_.make_room(n);
   has_spots_ = false;
   for (std::size_t i = 0; i < n; ++i) {
-    const auto [x, y, z] = positions[i];
-    items_[i] = x | std::uint64_t{y} << 16 | std::uint64_t{z} << 32 | std::uint64_t{i} << 48;
-    has_spots_ = has_spots_ || (i > 0 && same_spot(items_[i], items_[i - 1]));
+    for (std::size_t a = 0; a < 3; ++a) items_.of[a][i] = positions[i][a];
+    items_.of[PatchColumns::kNumber][i] = static_cast<std::uint16_t>(i);
+    has_spots_ = has_spots_ || (i > 0 && same_spot(i, i - 1));
   }
   halve(0, n);
-  for (std::size_t i = 0; i < n; ++i) order_[i] = static_cast<std::uint16_t>(items_[i] >> 48);
-  return order_;
+  return std::span(items_.of[PatchColumns::kNumber]).first(n);
+}
+
+bool PatchOrder::same_spot(std::size_t i, std::size_t j) const {
+  return items_.of[0][i] == items_.of[0][j] && items_.of[1][i] == items_.of[1][j] && items_.of[2][i] == items_.of[2][j];
 }
 
 void PatchOrder::halve(std::size_t first, std::size_t last) {
   while (last - first > kBlockSurfels) {
     // Between two blocks, in the middle of those that the range meets.
     const std::size_t begin = first / kBlockSurfels, end = (last + kBlockSurfels - 1) / kBlockSurfels, wanted = (begin + end) / 2 * kBlockSurfels;
-    Cut cut;
+    PatchCut cut;
     if (!choose_cut(first, last, wanted - first, cut)) return;
-    const std::size_t middle = divide(first, last, cut);
+    const std::size_t middle = divide(items_, first, last, cut, other_);
     halve(first, middle);
     first = middle;
   }
 }
 
-bool PatchOrder::choose_cut(std::size_t first, std::size_t last, std::size_t wanted, Cut& cut) {
-  Range range[3];
-  for (std::size_t i = first; i < last; ++i)
-    for (int a = 0; a < 3; ++a) range[a].add(coordinate(items_[i], a));
-  for (int a = 1; a < 3; ++a)
-    if (range[a].high - range[a].low > range[cut.axis].high - range[cut.axis].low) cut.axis = a;
-  const auto [low, high] = range[cut.axis];
-  if (low == high) return false;
+bool PatchOrder::choose_cut(std::size_t first, std::size_t last, std::size_t wanted, PatchCut& cut) const {
   const std::size_t n = last - first;
-  values_.clear();
-  std::size_t below = 0;   // all that are below the values looked at
-  if (n <= kFew) {
-    for (std::size_t i = first; i < last; ++i) values_.push_back(static_cast<std::uint16_t>(coordinate(items_[i], cut.axis)));
-    cut.value = value_at(values_, wanted);
-  } else {
-    const std::size_t bins = n <= 1024 ? kMostBins / 4 : kMostBins;
-    const int shift = std::max(0, static_cast<int>(std::bit_width(high - low)) - std::countr_zero(bins));
-    std::array<std::uint32_t, kMostBins> counts{};
-    for (std::size_t i = first; i < last; ++i) ++counts[(coordinate(items_[i], cut.axis) - low) >> shift];
-    std::uint32_t bin = 0;
-    while (below + counts[bin] <= wanted) below += counts[bin++];
-    for (std::size_t i = first; i < last; ++i)
-      if (const std::uint32_t v = coordinate(items_[i], cut.axis); (v - low) >> shift == bin) values_.push_back(static_cast<std::uint16_t>(v));
-    const auto nth = values_.begin() + static_cast<std::ptrdiff_t>(wanted - below);
-    std::nth_element(values_.begin(), nth, values_.end());
-    cut.value = *nth;
+  std::array<ValueRange, 3> range;
+  for (std::size_t a = 0; a < 3; ++a) range[a] = range_of(std::span(items_.of[a]).subspan(first, n));
+  for (std::size_t a = 1; a < 3; ++a)
+    if (range[a].extent() > range[cut.axis].extent()) cut.axis = a;
+  if (range[cut.axis].extent() == 0) return false;
+  // The value with at most `wanted` smaller ones and more than that up to it.
+  const auto values = std::span(items_.of[cut.axis]).subspan(first, n);
+  std::uint32_t low = range[cut.axis].low, above = range[cut.axis].high + 1u, below = 0;
+  while (above - low > 1) {
+    const std::uint32_t middle = (low + above) / 2, count = count_below(values, static_cast<std::uint16_t>(middle));
+    if (count <= wanted) {
+      low = middle;
+      below = count;
+    } else {
+      above = middle;
+    }
   }
-  for (const std::uint16_t v : values_) below += v < cut.value;
-  cut.equals = static_cast<std::uint32_t>(wanted - below);
+  cut.value = static_cast<std::uint16_t>(low);
+  cut.equals = static_cast<std::uint32_t>(wanted) - below;
   if (has_spots_) keep_spots_together(first, last, cut);
   return true;
 }
 
 // Positions on one spot follow each other among those at the value: all go where the first or the last of them goes, whichever leaves something on both sides.
-void PatchOrder::keep_spots_together(std::size_t first, std::size_t last, Cut& cut) const {
+void PatchOrder::keep_spots_together(std::size_t first, std::size_t last, PatchCut& cut) const {
   std::uint32_t seen = 0, begin = 0, end = 0;
-  std::uint64_t spot = 0, before = 0;
+  std::size_t spot = first, before = first;
   bool above = false;
   for (std::size_t i = first; i < last; ++i) {
-    const std::uint32_t v = coordinate(items_[i], cut.axis);
+    const std::uint32_t v = items_.of[cut.axis][i];
     above = above || v > cut.value;
     if (v != cut.value) continue;
-    if (seen == 0 || !same_spot(items_[i], before)) {
-      if (seen <= cut.equals) begin = seen, spot = items_[i];
+    if (seen == 0 || !same_spot(i, before)) {
+      if (seen <= cut.equals) begin = seen, spot = i;
       else above = true;
     }
-    before = items_[i];
+    before = i;
     ++seen;
     if (same_spot(spot, before)) end = seen;
   }
   if (begin == cut.equals) return;
   cut.equals = above ? end : begin;
-}
-
-std::size_t PatchOrder::divide(std::size_t first, std::size_t last, const Cut& cut) {
-  std::size_t kept = first, moved = 0;
-  std::uint32_t equals = 0;
-  for (std::size_t i = first; i < last; ++i) {
-    const std::uint64_t item = items_[i];
-    const std::uint32_t v = coordinate(item, cut.axis);
-    const bool stays = (v < cut.value) | ((v == cut.value) & (equals < cut.equals));
-    equals += v == cut.value;
-    items_[kept] = item;
-    other_[moved] = item;
-    kept += stays;
-    moved += !stays;
-  }
-  std::copy_n(other_.begin(), moved, items_.begin() + static_cast<std::ptrdiff_t>(kept));
-  return kept;
 }
 
 std::span<const std::uint16_t> MortonOrder::of(const std::vector<SurfelBlock>& blocks, std::uint32_t count) {

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "stream/store/block.h"
+#include "stream/store/patch_kernels.h"
 
 namespace chiaro::stream {
 
@@ -20,16 +21,11 @@ class PatchOrder {
 
  private:
   void halve(std::size_t first, std::size_t last);
-  struct Cut {
-    int axis = 0;                  ///< a position goes to the first half if it is below `value` there, as do the first `equals` of those at it
-    std::uint32_t value = 0, equals = 0;
-  };
-  bool choose_cut(std::size_t first, std::size_t last, std::size_t wanted, Cut& cut);
-  void keep_spots_together(std::size_t first, std::size_t last, Cut& cut) const;
-  std::size_t divide(std::size_t first, std::size_t last, const Cut& cut);
-  bool has_spots_ = false;                    // several positions on one spot
-  std::vector<std::uint64_t> items_, other_;  // x, y, z and number, 16 bits each from the lowest
-  std::vector<std::uint16_t> values_, order_;
+  bool choose_cut(std::size_t first, std::size_t last, std::size_t wanted, PatchCut& cut) const;
+  void keep_spots_together(std::size_t first, std::size_t last, PatchCut& cut) const;
+  bool same_spot(std::size_t i, std::size_t j) const;
+  bool has_spots_ = false;       // several positions on one spot
+  PatchColumns items_, other_;
 };
 
 /// Goes through a chunk in Morton order of the stored positions, those on one spot by slot. One object a thread; keeps its room.
