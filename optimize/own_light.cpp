@@ -39,11 +39,11 @@ class Search {
 
   OwnLights run() {
     if (compared_ < 3) return found();
-    if (const Kinds known = varying_kinds(); !known.empty()) return vary_further(known).found();
+    if (const Kinds known = varying_kinds(); !known.empty()) return vary_further(known);
     const Search start = *this;
     add_unlike();
     if (!own_.may_vary || (members_ == 0 && std::max(asked_by_all(kAmbient), asked_by_all(kExposure)) < own_.evidence)) return found();
-    return likeliest(start).found();
+    return likeliest(start);
   }
 
  private:
@@ -60,44 +60,52 @@ class Search {
     return kinds;
   }
 
+  /// A way that was tried, without what it held: with many photographs that is large.
+  struct Way {
+    OwnLights found;
+    OwnLightOutcome outcome;
+    double occam = 0, handicap = 0;
+    bool varies = false;   ///< by each kind that may, and by enough
+  };
+
+  Way way(double handicap) const { return {found(), fit_.outcome(), fit_.occam(), handicap, all_vary_enough()}; }
+
+  static Way try_to_vary(Search search, const Kinds& kinds, double handicap) {
+    search.let_vary(kinds);
+    return search.way(handicap);
+  }
+
   /// With what is known to vary, and with the other kind beside it if that is very likely.
-  Search vary_further(const Kinds& known) const {
-    std::vector<Search> tried{*this};
-    tried[0].let_vary(known);
+  OwnLights vary_further(const Kinds& known) const {
+    Search same = *this;
+    same.let_vary(known);
     for (const FactorKind kind : known)
-      if (!tried[0].varies_enough(kind)) return without(kind);
-    if (known.size() == kFactorKinds || !fit_.has_sky()) return tried[0];
-    tried.push_back(*this);
-    tried[1].let_vary({kAmbient, kExposure});
-    return tried[tried[0].best_of(tried, {0, own_.evidence})];
+      if (!same.varies_enough(kind)) return without(kind);
+    if (known.size() == kFactorKinds || !fit_.has_sky()) return same.found();
+    const std::vector<Way> ways{same.way(0), try_to_vary(*this, {kAmbient, kExposure}, own_.evidence)};
+    return ways[same.best_of(ways)].found;
   }
 
   /// Where a kind hardly varies once another one is followed as well.
-  Search without(FactorKind kind) const {
+  OwnLights without(FactorKind kind) const {
     Search less = *this;
     less.forget(kind);
     const Kinds left = less.varying_kinds();
-    return left.empty() ? less : less.vary_further(left);
+    return left.empty() ? less.found() : less.vary_further(left);
   }
 
   /// Of this search, in which single photographs are unlike the others, and of all varying instead or beside it, what the evidence speaks for. start: before there were any.
-  Search likeliest(const Search& start) const {
-    std::vector<Search> tried{*this};
-    std::vector<double> handicaps{0};
-    std::vector<Kinds> vary{{}, {kExposure}};
-    if (fit_.has_sky()) vary.insert(vary.end(), {{kAmbient}, {kAmbient, kExposure}});
-    for (std::size_t v = 1; v < vary.size(); ++v) {
-      tried.push_back(start);
-      tried.back().forget_all();
-      tried.back().let_vary(vary[v]);
-      handicaps.push_back(handicap(vary[v]));
-    }
-    for (std::size_t v = 1; v < vary.size() && members_ > 0; ++v) {
-      tried.push_back(*this);
-      tried.back().let_vary(vary[v]);
-      handicaps.push_back(own_.evidence * static_cast<double>(vary[v].size()));
-    }
-    return tried[best_of(tried, handicaps)];
+  OwnLights likeliest(Search start) const {
+    start.forget_all();
+    std::vector<Way> ways{way(0)};
+    const auto try_kinds = [&](const Kinds& kinds) {
+      ways.push_back(try_to_vary(start, kinds, handicap(kinds)));
+      if (members_ > 0) ways.push_back(try_to_vary(*this, kinds, own_.evidence * static_cast<double>(kinds.size())));
+    };
+    try_kinds({kExposure});
+    if (fit_.has_sky()) try_kinds({kAmbient});
+    if (fit_.has_sky() && best_of(ways) > 0) try_kinds({kAmbient, kExposure});
+    return ways[best_of(ways)].found;
   }
 
   /// That all vary has to be very likely beside that none does. That they do claims less, where few photographs leave it open, than that one is unlike the others.
@@ -113,15 +121,15 @@ class Search {
   }
 
   /// By twice the negative logarithm of the evidence. The first stands unless another is better in which something varies.
-  std::size_t best_of(const std::vector<Search>& tried, const std::vector<double>& handicaps) const {
+  std::size_t best_of(const std::vector<Way>& ways) const {
     double scale = fit_.scale(), least = 0;
-    for (const Search& t : tried) scale = std::min(scale, t.fit_.scale());
+    for (const Way& w : ways) scale = std::min(scale, w.outcome.scale);
     std::size_t best = 0;
-    for (std::size_t t = 0; t < tried.size(); ++t) {
-      const double evidence = fit_.misfit(tried[t].fit_.outcome(), scale) + tried[t].fit_.occam() + handicaps[t];
-      if (t > 0 && (!(evidence < least) || !tried[t].all_vary_enough())) continue;
+    for (std::size_t w = 0; w < ways.size(); ++w) {
+      const double evidence = fit_.misfit(ways[w].outcome, scale) + ways[w].occam + ways[w].handicap;
+      if (w > 0 && (!(evidence < least) || !ways[w].varies)) continue;
       least = evidence;
-      best = t;
+      best = w;
     }
     return best;
   }
