@@ -11,7 +11,7 @@ namespace chiaro::blend {
 namespace {
 
 constexpr int kLeastWindowRows = 16;
-constexpr std::size_t kMostTogether = 64;   // what is known of each leaf and photograph of a group takes memory too
+constexpr std::size_t kMostTogether = 64;
 
 /// Rows of a band so that its window with the halo takes at most two thirds of what is free.
 int band_rows(const MemoryBudget& budget, std::uint64_t row_bytes, int height, int beyond) {
@@ -23,6 +23,7 @@ int band_rows(const MemoryBudget& budget, std::uint64_t row_bytes, int height, i
 
 /// A photograph of a group, with the rows [y0, y1) of it that are at hand.
 struct PhotoWalk::Member {
+  BudgetLease lease;           // of the rows
   std::uint32_t k = 0;
   std::vector<RowSpan> rows;   // by leaf
   std::uint64_t surfels_in_view = 0;
@@ -82,7 +83,8 @@ std::vector<RowSpan> PhotoWalk::leaf_rows(const stream::Camera& camera) const {
 
 PhotoWalk::Member PhotoWalk::member_for(std::uint32_t k) const {
   const stream::Camera& camera = photographs_[k]->camera;
-  Member m{k, leaf_rows(camera), 0, 0, camera.lens.height_px, nullptr};
+  BudgetLease lease(budget_, rows_bytes(), concat("rows of the leaves that photograph ", photographs_[k]->name, " may see"));
+  Member m{std::move(lease), k, leaf_rows(camera), 0, 0, camera.lens.height_px, nullptr};
   for (std::size_t i = 0; i < m.rows.size(); ++i)
     if (m.rows[i].overlaps(0, m.y1)) m.surfels_in_view += store_.chunks()[store_.leaves()[i]].count;
   return m;
@@ -103,6 +105,7 @@ std::size_t PhotoWalk::take(std::span<const std::uint32_t> photographs, const Ta
   const std::uint64_t held_before = budget_.used_bytes(), most = budget_.free_bytes() / 3;   // the rest is for preparing windows, and for leaves
   std::size_t taken = 0;
   for (; taken < photographs.size() && group.size() < kMostTogether; ++taken) {
+    if (!group.empty() && budget_.used_bytes() - held_before + rows_bytes() > most) break;   // windows that the cache holds take nothing more, rows do
     Member m = member_for(photographs[taken]);
     if (!is_wanted_anywhere(m, task)) continue;
     m.window = windows_.whole(*photographs_[m.k], budget_.used_bytes() - held_before, most);

@@ -54,6 +54,8 @@ class PhotoWalk {
 
   /// Image rows of each leaf, in the store's order of leaves; empty where a photograph cannot see it.
   std::vector<RowSpan> leaf_rows(const stream::Camera& camera) const;
+  /// What they take; the budget is charged for those of all photographs that are held together.
+  std::uint64_t rows_bytes() const { return store_.leaves().size() * sizeof(RowSpan); }
 
  private:
   struct Member;

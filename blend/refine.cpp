@@ -93,10 +93,11 @@ class Refiner {
       stats = write(path, most);
       if (stats.inserted <= most || step_ + 1 >= kSteps) break;
     }
+    if (stats.inserted > most) stats = write_none(path, stats, most);
     stats.asked = static_cast<std::uint64_t>(asked[0]);
     stats.coarser = factor();
     stats.surfels = surfels_;
-    stats.unseen = surfels_ - stats.refined - stats.fine_enough - stats.without_surface;
+    stats.unseen = surfels_ - stats.refined - stats.fine_enough - stats.without_surface - stats.over_budget;
     return stats;
   }
 
@@ -122,6 +123,18 @@ class Refiner {
     });
     if (stats.inserted <= most) file.commit();
     return stats;
+  }
+
+  /// Where the photographs are finer than the cloud by more than the steps reach, the last one still asks for points everywhere. Whose those within the budget should be is not
+  /// said by anything then. found: at that step.
+  RefineStats write_none(const std::filesystem::path& path, const RefineStats& found, std::uint64_t most) {
+    AtomicFile(path).commit();
+    report_.note(concat("refine: none inserted: points ", std::llround(factor()), " times as far apart as the photographs' pixels, the farthest that is tried, would be ", found.inserted,
+                        ", and ", most, " are allowed"));
+    RefineStats none = found;
+    none.inserted = none.refined = 0;
+    none.over_budget = found.refined;
+    return none;
   }
 
   /// Slices in parallel, what they found in their order.

@@ -23,10 +23,18 @@ std::uint64_t resident_bytes_of(std::uint64_t surfels) {
   return static_cast<std::uint64_t>(static_cast<double>(surfels) * (sizeof(stream::SurfelBlock) / 16.0 + kEmbreeBytesPerSurfel));
 }
 
-DepthMap::DepthMap(const Frustum& frustum, double step) : frustum_(&frustum) {
-  const auto count = [&](double width) { return std::clamp(static_cast<int>(std::ceil(width / step / kCell)), 2, 256); };
-  cell_columns_ = count(frustum.x1 - frustum.x0);
-  cell_rows_ = count(frustum.y1 - frustum.y0);
+/// Of a map: along one side of the frustum.
+int DepthMap::cells_along(double width, double step) { return static_cast<int>(std::clamp(std::ceil(width / step / kCell), 2.0, 256.0)); }
+
+std::uint64_t DepthMap::bytes_of(const Frustum& f, double step) {
+  const std::uint64_t cells = static_cast<std::uint64_t>(cells_along(f.x1 - f.x0, step)) * static_cast<std::uint64_t>(cells_along(f.y1 - f.y0, step));
+  return cells * (kCell * kCell + 1) * sizeof(float);
+}
+
+std::uint64_t DepthMap::working_bytes_of(const Frustum& f, double step) { return bytes_of(f, step) / (kCell * kCell + 1) * (kCell * kCell); }
+
+DepthMap::DepthMap(const Frustum& frustum, double step, MemoryBudget& budget)
+    : lease_(budget, bytes_of(frustum, step), "depths of what hides"), frustum_(&frustum), cell_columns_(cells_along(frustum.x1 - frustum.x0, step)), cell_rows_(cells_along(frustum.y1 - frustum.y0, step)) {
   columns_ = cell_columns_ * kCell;
   rows_ = cell_rows_ * kCell;
   reach_.assign(static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_), kOpen);
@@ -39,6 +47,7 @@ Vec3d DepthMap::direction(int column, int row) const {
 }
 
 void DepthMap::shorten(const Tracer& tracer, double nearest) {
+  if (reach_.empty()) return;
   const Vec3f origin = tracer.scene_from_world(frustum_->centre);
   parallel_blocks(static_cast<std::size_t>(rows_), 4, [&](std::size_t begin, std::size_t end) {
     for (std::size_t row = begin; row < end; ++row)
@@ -84,6 +93,7 @@ void DepthMap::gather() {
 bool DepthMap::hides(const Box3d& box) const {
   const Frustum& f = *frustum_;
   if (f.misses(box)) return true;
+  if (cells_.empty()) return false;
   double u0 = 1e9, u1 = -1e9, v0 = 1e9, v1 = -1e9;
   for (int corner = 0; corner < 8; ++corner) {
     const Vec3d p(corner & 1 ? box.max.x() : box.min.x(), corner & 2 ? box.max.y() : box.min.y(), corner & 4 ? box.max.z() : box.min.z());
@@ -103,10 +113,34 @@ bool DepthMap::hides(const Box3d& box) const {
   return true;
 }
 
+namespace {
+
+/// Of all frusta, in their order, with rays as long as half of what is free holds them. working_bytes: of the largest of them.
+std::vector<DepthMap> empty_maps(const std::vector<Frustum>& frusta, double step, MemoryBudget& budget, std::uint64_t& working_bytes) {
+  std::vector<DepthMap> maps;
+  const std::uint64_t most = budget.free_bytes() / 2;
+  std::uint64_t held = 0;
+  for (const Frustum& f : frusta) {
+    const std::uint64_t bytes = DepthMap::bytes_of(f, step), working = std::max(working_bytes, DepthMap::working_bytes_of(f, step));
+    if (held + bytes + working > most) {
+      maps.emplace_back(f);
+      continue;
+    }
+    maps.emplace_back(f, step, budget);
+    held += bytes;
+    working_bytes = working;
+  }
+  return maps;
+}
+
+}  // namespace
+
 std::vector<DepthMap> find_occlusion(const stream::Store& store, std::span<const std::uint32_t> occluders, const std::vector<Frustum>& frusta, const OcclusionOptions& options, MemoryBudget& budget,
                                      Reporter& report) {
-  std::vector<DepthMap> maps;
-  for (const Frustum& f : frusta) maps.emplace_back(f, options.step);
+  std::uint64_t working_bytes = 0;
+  std::vector<DepthMap> maps = empty_maps(frusta, options.step, budget, working_bytes);
+  if (working_bytes == 0) return maps;   // no rays at all
+  const BudgetLease working(budget, working_bytes, "depths of what hides");
   std::vector<std::pair<double, std::uint32_t>> order;
   for (const std::uint32_t c : occluders) order.emplace_back(distance_to_box(frusta[0].centre, store.ray_bounds(c)), c);
   std::sort(order.begin(), order.end());

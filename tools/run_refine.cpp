@@ -51,7 +51,7 @@ Json insert(RunContext& run, const stream::Store& store, std::span<const blend::
   options.known = findings_of(layer.record);
   const blend::RefineStats s = blend::find_new_points(store, photographs, options, most, points, scratch, run.budget, run.report);
   Json found{{"inserted", s.inserted}, {"asked", s.asked}, {"most", most}, {"coarser", s.coarser}, {"points", s.surfels}, {"refined", s.refined}, {"fine_enough", s.fine_enough},
-             {"unseen", s.unseen}, {"without_surface", s.without_surface}, {"inserted_seen", 0}, {"samples", 0}, {"points_disputed", 0}};
+             {"unseen", s.unseen}, {"without_surface", s.without_surface}, {"over_budget", s.over_budget}, {"inserted_seen", 0}, {"samples", 0}, {"points_disputed", 0}};
   if (s.inserted == 0) {
     make_folder(out);   // looked for, and none found
     return found;
@@ -70,7 +70,9 @@ std::string sentence(const Json& r) {
   const auto count = [&](const char* name) { return format_count(r.at(name).get<std::uint64_t>()); };
   std::string text = concat("blend.refine: ", count("inserted_seen"), " points inserted, around ", count("refined"), " of the cloud's ", count("points"), "; the others: ", count("fine_enough"),
                             " as fine as their photographs, ", count("unseen"), " unseen, ", count("without_surface"), " on borders or edges");
-  if (r.at("coarser").get<double>() > 1)
+  if (r.value("over_budget", std::uint64_t{0}) > 0)
+    text += concat(", ", count("over_budget"), " whose new points refine_points = ", count("most"), " does not hold at any distance that is tried");
+  else if (r.at("coarser").get<double>() > 1)
     text += concat("; refine_points = ", count("most"), " holds them ", format_number(r.at("coarser").get<double>(), 2), " times as far apart as the photographs' pixels: about ", count("asked"), " would not");
   return text;
 }

@@ -6,6 +6,9 @@
 #include <cmath>
 #include <map>
 
+#include "blend/accumulate.h"
+#include "blend/ballot.h"
+#include "blend/leaf_file.h"
 #include "blend/photo_window.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
@@ -469,6 +472,30 @@ TEST(Blend, ADiskWithoutRoomForItsStateIsRefusedBeforeAnythingIsWritten) {
   EXPECT_FALSE(std::filesystem::exists(w.folder.path() / "store.chiaro/layers/other"));
   options.free_bytes = [&](const std::filesystem::path&) { return 2 * needed; };
   EXPECT_GT(w.run(photos, options).points_seen, 0u);
+}
+
+TEST(Blend, TheDiskHasToHoldVotesSumsLayerAndWhatIsWrittenAnew) {
+  const Workplace w(plane_scene());
+  const auto see_all = [&](const std::string& name, double x) { return w.photograph(name, Vec3d(x, 0.5, 1.8), Vec3d(x, 0.5, 0)); };
+  const std::vector<BlendPhotograph> photos{see_all("a", 0.48), see_all("b", 0.52)};
+  LeafShape votes{{}, 2, 0, sizeof(Ballot), 0}, sums{{}, 2, 4, sizeof(Accumulator), 0};
+  std::uint64_t votes_bytes = 0, sums_bytes = 0, layer_bytes = 0;
+  for (const stream::ChunkEntry& c : w.store->chunks()) layer_bytes += c.count * 18ull;   // four floats and a count of photographs
+  for (const std::uint32_t leaf : w.store->leaves()) {
+    votes.surfels_of_leaf.push_back(w.store->chunks()[leaf].count);
+    sums.surfels_of_leaf.push_back(w.store->chunks()[leaf].count);
+  }
+  for (std::size_t i = 0; i < w.store->leaves().size(); ++i) {
+    votes_bytes += LeafFile::disk_bytes(votes, i);
+    sums_bytes += LeafFile::disk_bytes(sums, i);
+  }
+  ASSERT_GT(votes_bytes, sums_bytes);
+  std::uint64_t there = 2 * votes_bytes + sums_bytes + layer_bytes - 1;   // a leaf that is written anew is held twice, of so little as much as all of them
+  BlendOptions options;
+  options.free_bytes = [&](const std::filesystem::path&) { return there; };
+  EXPECT_THROW(w.run(photos, options), Error);
+  ++there;
+  EXPECT_EQ(w.run(photos, options).scratch_bytes, there - layer_bytes);
 }
 
 TEST(Blend, RastersOfAnotherSizeOrWithoutAPlaneAreNamed) {

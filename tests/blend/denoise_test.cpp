@@ -8,6 +8,7 @@
 
 #include "blend/denoise_leaf.h"
 #include "stream/base/parallel.h"
+#include "stream/base/rng.h"
 #include "tests/blend/workplace.h"
 
 namespace chiaro::blend {
@@ -122,6 +123,42 @@ TEST(Denoise, NormalsOfUnknownSignAreTheSameTurned) {
   for (std::size_t i = 0; i < turned.size(); i += 2) turned.normal[i] *= -1;
   const std::vector<Denoised> a = denoise(known, known.size(), 6), b = denoise(turned, turned.size(), 6);
   for (std::size_t i = 0; i < a.size(); ++i) ASSERT_EQ(a[i].log_albedo, b[i].log_albedo) << i;
+}
+
+TEST(Denoise, ANeighbourCountsByTheFourthPowerOfTheCosine) {
+  NoisySurfels s;
+  s.resize(2);
+  const float cosine = 0.5f;
+  s.position = {Vec3f::Zero(), Vec3f::UnitX()};
+  s.normal = {Vec3f::UnitZ(), Vec3f(std::sqrt(1 - cosine * cosine), 0, cosine)};
+  s.oriented = {1, 1};
+  s.log_albedo = {Vec3f::Zero(), Vec3f::Constant(0.01f)};
+  s.sd = {0.5f, 0.5f};   // says all about how they differ: nearly the mean comes out
+  EXPECT_NEAR(denoise(s, 1, 6)[0].log_albedo[0], 0.01f * (1 / 16.0f) / (1 + 1 / 16.0f), 1e-6f);
+  s.normal[1].z() = -cosine;   // faces away
+  EXPECT_EQ(denoise(s, 1, 6)[0].log_albedo[0], 0);
+  s.oriented[1] = 0;
+  EXPECT_NEAR(denoise(s, 1, 6)[0].log_albedo[0], 0.01f * (1 / 16.0f) / (1 + 1 / 16.0f), 1e-6f);
+}
+
+TEST(Denoise, ARelativeSigmaExplainsLessInTheDark) {
+  // Logarithms have an offset of 0.02: at albedos of 0.01 and 0.03 a sigma of 30 % is 10 and 18 % of them, and the two differ by 51 %.
+  const Workplace w(plane_scene());
+  constexpr float kBrightness = 2, kDark = 0.01f * kBrightness, kLess = 0.03f * kBrightness;
+  const auto is_dark = [](std::size_t leaf, std::uint32_t slot) { return uniform01(5, Purpose::kTest, leaf * 65536 + slot, 0) < 0.5f; };
+  const auto blended = [&](std::size_t leaf) {
+    std::vector<BlendedSurfel> values(w.store->chunks()[w.store->leaves()[leaf]].count);
+    for (std::uint32_t slot = 0; slot < values.size(); ++slot) values[slot] = {Vec3f::Constant(is_dark(leaf, slot) ? kDark : kLess), 0.3f, 0.3f, 2};
+    return values;
+  };
+  std::vector<BlendedSurfel> values = blended(0);
+  LeafDenoiser(*w.store, kBrightness, blended).denoise(0, values);
+  double sums[2] = {0, 0}, counts[2] = {0, 0};
+  for (std::uint32_t slot = 0; slot < values.size(); ++slot) {
+    sums[is_dark(0, slot)] += static_cast<double>(values[slot].albedo[0]);
+    ++counts[is_dark(0, slot)];
+  }
+  EXPECT_GT(sums[0] / counts[0] - sums[1] / counts[1], 0.5 * static_cast<double>(kLess - kDark));
 }
 
 /// The painted plane in photographs with noise of `sd`, other in each pixel.

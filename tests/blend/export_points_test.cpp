@@ -17,6 +17,7 @@
 #include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
 #include "tools/export_rows.h"
+#include "tools/fill_unseen.h"
 #include "tools/inserted_points.h"
 
 namespace chiaro::tools {
@@ -329,6 +330,50 @@ TEST_F(ExportPoints, WhatIsNearerFillsMore) {
   // by the inverse of the squared distance, a thousandth of the largest one added
   const double a = 1 / (0.0625 + 0.001 * 0.5625), b = 1 / (0.5625 + 0.001 * 0.5625);
   EXPECT_NEAR(read_ply(folder.path() / "filled.ply").at(2, "albedo_g"), (0.2 * a + 0.8 * b) / (a + b), 1e-3);
+}
+
+TEST_F(ExportPoints, FourSpacingsFromWhatIsSeenTheCoarserLevelsFill) {
+  const stream::Store store = build();
+  const std::uint32_t leaf = store.leaves()[0];
+  const stream::Chunk chunk = store.read_chunk(leaf);
+  const auto place = [&](std::uint32_t slot) { return chunk.surfel(slot).position_in_world; };
+  std::uint32_t corner = 0;   // the only one of its leaf that is seen; of the other leaves all are
+  for (std::uint32_t i = 1; i < chunk.count; ++i)
+    if (place(i).x() + place(i).y() < place(corner).x() + place(corner).y()) corner = i;
+  stream::LayerWriter writer(store, "albedo", stream::albedo_fields(), "{}");
+  for (const std::uint32_t l : store.leaves()) {
+    const std::size_t n = store.chunks()[l].count;
+    std::vector<float> values(4 * n, l == leaf ? std::nanf("") : 0.8f);
+    std::vector<std::uint16_t> photos(n, l == leaf ? 0 : 1);
+    if (l == leaf) {
+      for (std::size_t plane = 0; plane < 4; ++plane) values[plane * n + corner] = 0.2f;
+      photos[corner] = 1;
+    }
+    std::vector<std::byte> planar(n * 18);
+    std::memcpy(planar.data(), values.data(), 16 * n);
+    std::memcpy(planar.data() + 16 * n, photos.data(), 2 * n);
+    writer.write_chunk(l, planar);
+  }
+  writer.finish_inner(silent_reporter());
+  writer.commit();
+  const stream::Layer layer(store, "albedo");
+  std::vector<Vec3f> albedo = stream::read_albedo(layer, store, leaf).albedo;
+  EXPECT_EQ(fill_unseen(store, layer, chunk, albedo), chunk.count - 1u);
+  const stream::ChunkEntry& entry = store.chunks()[leaf];
+  const double spacing = static_cast<double>(std::max(entry.spacing, 0.5f * entry.radius_max));
+  int near = 0, far = 0;
+  for (std::uint32_t i = 0; i < chunk.count; ++i) {
+    const double spacings = (place(i) - place(corner)).norm() / spacing;
+    if (spacings < 3.99) {
+      ++near;
+      EXPECT_NEAR(albedo[i][0], 0.2f, 1e-6f) << spacings;
+    } else if (spacings > 4.01) {
+      ++far;
+      EXPECT_GT(albedo[i][0], 0.201f) << spacings;
+    }
+  }
+  EXPECT_GT(near, 8);
+  EXPECT_GT(far, 50);
 }
 
 TEST_F(ExportPoints, AFlatAlbedoIsFilledFlat) {

@@ -177,6 +177,26 @@ TEST_F(KeptOfAnEvenWall, AToleranceThatChangesJudgesAnewWhereTheNewPhotographsSe
   EXPECT_GT(on.tolerance.of_votes(), 1.5f * before.tolerance.of_votes());
 }
 
+TEST_F(KeptOfAnEvenWall, AToleranceOfReadingsWithoutVotesThatChangesJudgesAnewToo) {
+  // At each of two places nine from near by, of which eight have a vote, and others from afar that see no more of the wall.
+  const auto from_afar = [&](const std::string& name, double x, float share) {
+    ShotOptions part;
+    part.mask = [](int px, int py) -> std::uint8_t { return px > 45 && px < 115 && py > 35 && py < 85; };
+    part.paint = [share](int px, int, const Vec3f& a) -> Vec3f { return a * (1 + share * (px % 20 < 10 ? 1.0f : -1.0f)); };
+    return w.photograph(name, Vec3d(x, 0.5, 1.1), Vec3d(x, 0.5, 0), part);
+  };
+  std::vector<BlendPhotograph> photos;
+  for (int k = 0; k < 9; ++k) photos.push_back(at("a" + std::to_string(k), 0.5 + 0.001 * k));
+  photos.push_back(from_afar("b", 0.5, 0.045f));   // a little more than the least tolerance allows
+  const BlendStats before = keep(photos);
+  for (int k = 0; k < 9; ++k) photos.push_back(at("c" + std::to_string(k), 3.4 + 0.001 * k));
+  for (int k = 0; k < 3; ++k) photos.push_back(from_afar("d" + std::to_string(k), 3.4, 0.1f));
+  const BlendStats on = expect_same_as_from_the_beginning(photos);
+  EXPECT_EQ(on.tolerance.of_votes(), before.tolerance.of_votes());
+  EXPECT_GT(on.tolerance.by_class[1], 1.5f * before.tolerance.by_class[1]);
+  EXPECT_LT(on.photographs[9].rejected, before.photographs[9].rejected);
+}
+
 TEST_F(KeptOfAnEvenWall, APlaceThatIsFoundIsReadAnewWhereTheNewPhotographSeesNothing) {
   // Of two photographs nobody knows which one lies beside its place. Others far away say how far readings scatter.
   std::vector<BlendPhotograph> photos{at("a", 0.5), at("b", 0.9)};

@@ -112,6 +112,40 @@ TEST_F(Refine, TheBudgetIsKeptAndSpent) {
   }
 }
 
+/// Keeps what is noted.
+class Noted final : public Reporter {
+ public:
+  void begin(std::string_view, std::uint64_t, std::string_view) override {}
+  void progress(std::uint64_t) override {}
+  void end() override {}
+  void note(std::string_view text) override { notes += std::string(text) + "\n"; }
+  bool cancelled() const override { return false; }
+  std::string notes;
+};
+
+TEST_F(Refine, WhereNoStepKeepsToTheBudgetNothingIsInserted) {
+  // A point through a microscope: pixels of 2 micrometres, so that the coarsest step, 3756 of them, still refines a spacing of 40 mm.
+  Vec3d middle = Vec3d::Constant(1e3);
+  for (const std::uint32_t leaf : w.store->leaves()) {
+    const stream::Chunk chunk = w.store->read_chunk(leaf);
+    for (std::uint32_t i = 0; i < chunk.count; ++i)
+      if (const Vec3d p = chunk.surfel(i).position_in_world; (p - Vec3d(0.5, 0.5, 0)).norm() < (middle - Vec3d(0.5, 0.5, 0)).norm()) middle = p;
+  }
+  const std::vector<BlendPhotograph> photos{w.photograph("near", middle + Vec3d(0, 0, 1), middle, {}, 5e5)};
+  Noted report;
+  const RefineStats stats = find(photos, 1, kPlenty, report);
+  EXPECT_EQ(stats.inserted, 0u);
+  EXPECT_EQ(stats.refined, 0u);
+  EXPECT_GE(stats.over_budget, 1u);
+  EXPECT_EQ(stats.over_budget + stats.unseen + stats.fine_enough + stats.without_surface, stats.surfels);
+  EXPECT_NE(report.notes.find("refine: none inserted: points 3756 times"), std::string::npos) << report.notes;
+  stream::PointBlock block;
+  EXPECT_FALSE(read_new_points(file())->read(block, 10));   // there is a file, and it says so
+  const RefineStats enough = find(photos);
+  EXPECT_GT(enough.inserted, 8u);
+  EXPECT_EQ(enough.over_budget, 0u);
+}
+
 TEST_F(Refine, ResultsDoNotDependOnThreadsMemoryOrOrder) {
   auto photos = photographs();
   find(photos, 5000);

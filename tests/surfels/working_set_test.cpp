@@ -450,6 +450,35 @@ TEST(WorkingSet, PinholesDoNotOpenAWall) {
   EXPECT_EQ(pierced, whole) << "of " << whole;
 }
 
+TEST(WorkingSet, DepthMapsAreChargedAndHideLessWhereTheyDoNotFit) {
+  const ScratchFolder folder;
+  const stream::Store store = walls(folder.path());
+  const Vec3d lamp(0.1, 0.2, 0.15);
+  const std::vector<Frustum> frusta = frusta_of_light(lamp, std::vector<Box3d>{{lamp - Vec3d::Constant(1), lamp + Vec3d::Constant(1)}});
+  ASSERT_EQ(frusta.size(), 6u);   // of slopes from -1.01 to 1.01: 51 times 51 cells of 4 times 4 rays
+  constexpr std::uint64_t kWorking = 204 * 204 * sizeof(float), kMap = kWorking + 51 * 51 * sizeof(float);
+  const auto hidden = [&](std::uint64_t room, std::uint64_t held) {
+    MemoryBudget budget(room);
+    std::vector<std::size_t> by_map;
+    {
+      const auto maps = find_occlusion(store, store.leaves(), frusta, {0.01, 8000}, budget, silent_reporter());
+      EXPECT_EQ(budget.used_bytes(), held);
+      for (std::size_t k = 0; k < maps.size(); ++k) {
+        by_map.push_back(0);
+        for (const std::uint32_t c : store.leaves()) by_map[k] += maps[k].hides(store.ray_bounds(c)) && !frusta[k].misses(store.ray_bounds(c));
+      }
+    }
+    EXPECT_EQ(budget.used_bytes(), 0u);
+    return by_map;
+  };
+  const std::vector<std::size_t> all = hidden(kRoom, 6 * kMap);
+  const auto most = static_cast<std::size_t>(std::max_element(all.begin(), all.end()) - all.begin());
+  EXPECT_GT(all[most], 10u);
+  const std::vector<std::size_t> some = hidden(2 * (3 * kMap + kWorking), 3 * kMap);
+  for (std::size_t k = 0; k < 6; ++k) EXPECT_LE(some[k], k < 3 ? all[k] : 0) << k;
+  EXPECT_EQ(hidden(2 * (kMap + kWorking) - 1, 0), std::vector<std::size_t>(6, 0));
+}
+
 TEST(WorkingSet, KeepsLittleOfWhatHides) {
   const ScratchFolder folder;
   const stream::Store store = walls(folder.path());
