@@ -214,62 +214,70 @@ stream::NormalSource normals_of(const std::string& word) {
   return stream::NormalSource::kAuto;
 }
 
+/// The parent starts no thread: a child would take it that they are there, and work alone. Returns the exit status.
+int in_child(const std::function<void()>& work) {
+  std::fflush(stdout);
+  if (const pid_t child = fork(); child != 0) {
+    int status = 0;
+    waitpid(child, &status, 0);
+    return status;
+  }
+  int code = 0;
+  try {
+    work();
+  } catch (const std::exception& e) {
+    std::fprintf(stderr, "error: %s\n", e.what());
+    code = 1;
+  }
+  std::fflush(stdout);
+  _exit(code);
+}
+
+void measure_build(const fs::path& cloud, const fs::path& out, const Options& options) {
+  const ThreadLimit limit(options.threads);
+  const std::uint64_t held = resident_bytes(), slack = std::clamp<std::uint64_t>(options.memory / 8, 24u << 20, 256u << 20);
+  MemoryBudget budget(options.memory - held - slack);
+  stream::BuildOptions build;
+  build.normals = normals_of(options.normals);
+  std::atomic<std::uint64_t> peak_disk{0};
+  std::jthread watch([&](std::stop_token stop) {
+    while (!stop.stop_requested()) {
+      peak_disk = std::max<std::uint64_t>(peak_disk, disk_bytes(out.string() + ".part"));
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    }
+  });
+  TimingReporter report;
+  const double cpu_start = cpu_seconds();
+  const auto start = Clock::now();
+  const stream::Manifest m = stream::build_store({cloud}, out, build, budget, report);
+  const double seconds = seconds_since(start), cpu = cpu_seconds() - cpu_start;
+  report.close();
+  watch.request_stop();
+  watch.join();
+  const auto n = static_cast<double>(options.points);
+  const std::uint64_t final_disk = disk_bytes(out);
+  for (const Phase& p : report.phases)
+    if (p.seconds > 0.01) std::printf("  %-20s %8.2f s %8.2f Mpoint/s %8.3f us CPU/point\n", p.name.c_str(), p.seconds, 1e-6 * n / p.seconds, 1e6 * p.cpu / n);
+  std::printf("  %-20s %8.2f s %8.2f Mpoint/s %8.3f us CPU/point\n", "TOTAL", seconds, 1e-6 * n / seconds, 1e6 * cpu / n);
+  std::uint64_t layers = disk_bytes(out / "layers");
+  std::printf("  peak resident %.0f MiB, disk at the peak %.1f B/point, result %.1f B/point (without layers %.2f B per surfel of %llu), stored %llu\n",
+              static_cast<double>(peak_resident_bytes()) / 1048576, static_cast<double>(peak_disk.load()) / n, static_cast<double>(final_disk) / n,
+              static_cast<double>(final_disk - layers) / static_cast<double>(m.points_stored + m.surfels_inner), static_cast<unsigned long long>(m.points_stored + m.surfels_inner),
+              static_cast<unsigned long long>(m.points_stored));
+  if (options.verify) {
+    const auto result = stream::verify_store(out, budget, silent_reporter());
+    std::printf("  verify: %zu problems\n", result.problems.size());
+    for (std::size_t i = 0; i < std::min<std::size_t>(3, result.problems.size()); ++i) std::printf("    %s\n", result.problems[i].c_str());
+  }
+}
+
 void run_ours(const fs::path& cloud, const Options& options) {
   const fs::path out = options.folder / "bench.chiaro";
   fs::remove_all(out);
   fs::remove_all(out.string() + ".part");
   drop_from_cache(cloud);
-  std::fflush(stdout);
-  if (const pid_t child = fork(); child != 0) {
-    int status = 0;
-    waitpid(child, &status, 0);
-    if (status != 0) std::printf("  the run failed\n");
-    if (!options.keep) fs::remove_all(out);
-    return;
-  }
-  int code = 0;
-  try {
-    const ThreadLimit limit(options.threads);
-    const std::uint64_t held = resident_bytes(), slack = std::clamp<std::uint64_t>(options.memory / 8, 24u << 20, 256u << 20);
-    MemoryBudget budget(options.memory - held - slack);
-    stream::BuildOptions build;
-    build.normals = normals_of(options.normals);
-    std::atomic<std::uint64_t> peak_disk{0};
-    std::jthread watch([&](std::stop_token stop) {
-      while (!stop.stop_requested()) {
-        peak_disk = std::max<std::uint64_t>(peak_disk, disk_bytes(out.string() + ".part"));
-        std::this_thread::sleep_for(std::chrono::milliseconds(20));
-      }
-    });
-    TimingReporter report;
-    const double cpu_start = cpu_seconds();
-    const auto start = Clock::now();
-    const stream::Manifest m = stream::build_store({cloud}, out, build, budget, report);
-    const double seconds = seconds_since(start), cpu = cpu_seconds() - cpu_start;
-    report.close();
-    watch.request_stop();
-    watch.join();
-    const auto n = static_cast<double>(options.points);
-    const std::uint64_t final_disk = disk_bytes(out);
-    for (const Phase& p : report.phases)
-      if (p.seconds > 0.01) std::printf("  %-20s %8.2f s %8.2f Mpoint/s %8.3f us CPU/point\n", p.name.c_str(), p.seconds, 1e-6 * n / p.seconds, 1e6 * p.cpu / n);
-    std::printf("  %-20s %8.2f s %8.2f Mpoint/s %8.3f us CPU/point\n", "TOTAL", seconds, 1e-6 * n / seconds, 1e6 * cpu / n);
-    std::uint64_t layers = disk_bytes(out / "layers");
-    std::printf("  peak resident %.0f MiB, disk at the peak %.1f B/point, result %.1f B/point (without layers %.2f B per surfel of %llu), stored %llu\n",
-                static_cast<double>(peak_resident_bytes()) / 1048576, static_cast<double>(peak_disk.load()) / n, static_cast<double>(final_disk) / n,
-                static_cast<double>(final_disk - layers) / static_cast<double>(m.points_stored + m.surfels_inner), static_cast<unsigned long long>(m.points_stored + m.surfels_inner),
-                static_cast<unsigned long long>(m.points_stored));
-    if (options.verify) {
-      const auto result = stream::verify_store(out, budget, silent_reporter());
-      std::printf("  verify: %zu problems\n", result.problems.size());
-      for (std::size_t i = 0; i < std::min<std::size_t>(3, result.problems.size()); ++i) std::printf("    %s\n", result.problems[i].c_str());
-    }
-  } catch (const std::exception& e) {
-    std::printf("  error: %s\n", e.what());
-    code = 1;
-  }
-  std::fflush(stdout);
-  _exit(code);
+  if (in_child([&] { measure_build(cloud, out, options); }) != 0) std::printf("  the run failed\n");
+  if (!options.keep) fs::remove_all(out);
 }
 
 void run_potree(const std::string& program, const fs::path& cloud, const Options& options) {
@@ -357,7 +365,7 @@ int main(int count, char** words) {
     make_folder(options.folder);
     const fs::path cloud = options.folder / concat("cloud_", options.points, ".", options.format);
     if (!fs::exists(cloud) && options.format == "laz") throw Error(concat(cloud.string(), ": is not there; make the .las, compress it with another program, e.g. laspy"));
-    if (!fs::exists(cloud)) write_cloud(cloud, options);
+    if (!fs::exists(cloud) && in_child([&] { write_cloud(cloud, options); }) != 0) throw Error(concat(cloud.string(), ": writing it failed"));
     std::printf("%llu points, %s (%.1f B/point), normals %s, memory %s\n", static_cast<unsigned long long>(options.points), options.format.c_str(),
                 static_cast<double>(fs::file_size(cloud)) / static_cast<double>(options.points), options.normals.c_str(), format_bytes(options.memory).c_str());
     measure_machine(options.folder);
