@@ -23,11 +23,10 @@ class Search {
          std::span<const OwnLight> known, const LightSpread& known_spread, const OwnLightOptions& own)
       : fit_(samples, references, options, solution, known, priors(known.size(), own)), own_(own), before_(known.begin(), known.end()),
         surfels_(known.size(), 0), with_flash_(known.size(), false), unlike_(kFactorKinds * known.size(), false), spread_(known_spread) {
-    std::vector<LightSample> sorted(samples.begin(), samples.end());
-    for (const SampleGroup& g : groups_of(sorted))
+    for (const SampleGroup& g : groups_of(samples))
       for (std::size_t i = g.begin; i < g.end; ++i) {
-        ++surfels_[sorted[i].photograph];
-        if (sorted[i].flash_photograph) with_flash_[sorted[i].photograph] = true;
+        ++surfels_[samples[i].photograph];
+        if (samples[i].flash_photograph) with_flash_[samples[i].photograph] = true;
       }
     for (std::size_t k = 0; k < known.size(); ++k) {
       compared_ += surfels_[k] >= own.least_surfels;
@@ -184,12 +183,12 @@ class Search {
   void forget(FactorKind kind) {
     std::vector<OwnLight> change(before_.size());
     for (std::size_t k = 0; k < before_.size(); ++k)
-      if (!unlike_[factor_of(k, kind)]) (kind == kAmbient ? change[k].ambient : change[k].exposure) = 1 / (kind == kAmbient ? fit_.now()[k].ambient : fit_.now()[k].exposure);
+      if (!unlike_[factor_of(k, kind)]) change[k].factor(kind) = 1 / fit_.now()[k].factor(kind);
     fit_.apply(change);
     for (std::size_t k = 0; k < before_.size(); ++k) {
       if (unlike_[factor_of(k, kind)]) continue;
       OwnLight now = fit_.now()[k];
-      (kind == kAmbient ? now.ambient : now.exposure) = 1;   // to the last digit
+      now.factor(kind) = 1;   // to the last digit
       fit_.set_now(k, now);
     }
     spread_[kind] = 0;
@@ -230,8 +229,8 @@ class Search {
     std::array<double, kFactorKinds> sum{};
     for (std::size_t f = 0; f < fit_.used().size(); ++f) {
       const std::size_t factor = fit_.used()[f];
-      const OwnLight& own = fit_.now()[factor / kFactorKinds];
-      if (!unlike_[factor]) sum[factor % kFactorKinds] += std::pow(std::log(factor % kFactorKinds == kAmbient ? own.ambient : own.exposure), 2) + covariance(static_cast<Eigen::Index>(f), static_cast<Eigen::Index>(f));
+      const auto kind = static_cast<FactorKind>(factor % kFactorKinds);
+      if (!unlike_[factor]) sum[kind] += std::pow(std::log(fit_.now()[factor / kFactorKinds].factor(kind)), 2) + covariance(static_cast<Eigen::Index>(f), static_cast<Eigen::Index>(f));
     }
     bool still = true;
     for (const FactorKind kind : kinds) {

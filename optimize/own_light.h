@@ -15,6 +15,8 @@ struct OwnLight {
   double exposure = 1;        ///< factor on the brightness
   double ambient_ln_sd = 0, exposure_ln_sd = 0;   ///< 0 where the factor is 1
   bool unlike = false, unlike_ambient = false;   ///< its brightness, its ambient light differs by more than that of all photographs does
+  double& factor(FactorKind kind) { return kind == kAmbient ? ambient : exposure; }
+  double factor(FactorKind kind) const { return kind == kAmbient ? ambient : exposure; }
 };
 
 struct OwnLightOptions {

@@ -65,7 +65,7 @@ void OwnLightFit::gather(double scale, double share) {
   for (std::size_t k = 0; k < now_.size(); ++k)
     for (std::size_t kind = 0; kind < kFactorKinds; ++kind) {
       at_.own[k](static_cast<Eigen::Index>(kind), static_cast<Eigen::Index>(kind)) += weight(kFactorKinds * k + kind);
-      at_.gradient[static_cast<Eigen::Index>(kFactorKinds * k + kind)] -= weight(kFactorKinds * k + kind) * std::log(kind == kAmbient ? now_[k].ambient : now_[k].exposure);
+      at_.gradient[static_cast<Eigen::Index>(kFactorKinds * k + kind)] -= weight(kFactorKinds * k + kind) * std::log(now_[k].factor(static_cast<FactorKind>(kind)));
     }
   at_.shared = Eigen::MatrixXd::Zero(p + free, p + free);
   at_.shared.topLeftCorner(p, p) = lights + solution_.outside;
@@ -119,7 +119,7 @@ double OwnLightFit::step() {
   std::vector<OwnLight> change(now_.size());
   for (std::size_t f = 0; f < used_.size(); ++f) {
     const double by = std::clamp(x[static_cast<Eigen::Index>(layout_.size()) + static_cast<Eigen::Index>(f)], -kLongestStep, kLongestStep);
-    (used_[f] % kFactorKinds == kAmbient ? change[used_[f] / kFactorKinds].ambient : change[used_[f] / kFactorKinds].exposure) *= std::exp(by);
+    change[used_[f] / kFactorKinds].factor(static_cast<FactorKind>(used_[f] % kFactorKinds)) *= std::exp(by);
     farthest = std::max(farthest, std::fabs(by));
   }
   apply(change);
