@@ -4,6 +4,7 @@
 #include <tbb/global_control.h>
 #include <tbb/info.h>
 #include <tbb/parallel_for.h>
+#include <tbb/parallel_pipeline.h>
 
 #include <algorithm>
 
@@ -18,6 +19,25 @@ void parallel_blocks(std::size_t count, std::size_t grain, const std::function<v
                       for (std::size_t b = r.begin(); b != r.end(); ++b) body(b * grain, std::min(count, (b + 1) * grain));
                     },
                     tbb::simple_partitioner());
+}
+
+// Items end in the order in which they began and at most `slots` are under way, so that the slot of the one that ended `slots` items ago is free.
+void ordered_pipeline(std::size_t slots, const std::function<bool(std::size_t)>& produce, const std::function<void(std::size_t)>& work,
+                      const std::function<void(std::size_t)>& consume) {
+  std::size_t next = 0;
+  const auto first = [&](tbb::flow_control& control) {
+    const std::size_t slot = next;
+    next = (next + 1) % slots;
+    if (!produce(slot)) control.stop();
+    return slot;
+  };
+  const auto second = [&](std::size_t slot) {
+    work(slot);
+    return slot;
+  };
+  using Mode = tbb::filter_mode;
+  tbb::parallel_pipeline(slots, tbb::make_filter<void, std::size_t>(Mode::serial_in_order, first) & tbb::make_filter<std::size_t, std::size_t>(Mode::parallel, second) &
+                                    tbb::make_filter<std::size_t, void>(Mode::serial_in_order, consume));
 }
 
 struct ThreadLimit::Impl {

@@ -23,6 +23,11 @@ T deterministic_sum(std::size_t count, std::size_t grain, T zero, const std::fun
   return sum;
 }
 
+/// Items pass through `slots` places, each in turn: produce(slot) one after the other until it says false, work(slot) side by side, consume(slot) one after the other in the
+/// order in which they were produced. At most `slots` items are under way. An exception in a step surfaces here; items under way are given up then.
+void ordered_pipeline(std::size_t slots, const std::function<bool(std::size_t slot)>& produce, const std::function<void(std::size_t slot)>& work,
+                      const std::function<void(std::size_t slot)>& consume);
+
 /// Limits TBB to `threads` (0 = all cores) while it lives. tools/ makes one; nothing else does.
 class ThreadLimit {
  public:

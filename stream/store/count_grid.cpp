@@ -135,9 +135,9 @@ void CountGrid::make_room(std::uint64_t cells) {
   }
 }
 
-// The finest cell: a 512th of the extent of most of the first points (outliers aside), within what integers and doubles hold. Finer ones would tell nothing that
+// The finest cell: a 256th of the extent of most of the first points (outliers aside), within what integers and doubles hold. Finer ones would tell nothing that
 // partitions need, and the table would not fit the processor's caches.
-void CountGrid::start(const std::vector<Vec3d>& points) {
+void CountGrid::start(std::span<const Vec3d> points) {
   Box3d box;
   for (const Vec3d& p : points) box.extend(p);
   double extent = 0;
@@ -152,13 +152,13 @@ void CountGrid::start(const std::vector<Vec3d>& points) {
   }
   if (extent == 0) extent = (box.max - box.min).maxCoeff();
   int k = std::max(-30, max_abs(box) > 0 ? ceil_log2(max_abs(box)) - 45 : -30);
-  if (extent > 0) k = std::max(k, ceil_log2(extent) - 9);
+  if (extent > 0) k = std::max(k, ceil_log2(extent) - 8);
   k_ = k;
   base_ = floor_cell(points[0], std::ldexp(1.0, -k_));
   started_ = true;
 }
 
-void CountGrid::add(const std::vector<Vec3d>& points) {
+void CountGrid::add(std::span<const Vec3d> points) {
   if (points.empty()) return;
   if (!started_) start(points);
   constexpr std::size_t kBatch = 256;

@@ -48,7 +48,7 @@ class CountGrid {
   /// Uses up to max_bytes, but at least 8 MiB: the root cube is aligned to cells, which needs the extent to be some 32 of them.
   CountGrid(MemoryBudget& budget, std::uint64_t max_bytes);
   /// Adds finite points, |coordinate| <= 1e9. The first call decides the finest cell.
-  void add(const std::vector<Vec3d>& points);
+  void add(std::span<const Vec3d> points);
   const Box3d& bounds() const { return bounds_; }
   std::uint64_t points() const { return points_; }
   std::uint64_t num_cells() const { return used_; }
@@ -69,7 +69,7 @@ class CountGrid {
   static constexpr std::uint64_t kEmpty = ~std::uint64_t{0};
   std::array<std::int64_t, 3> cell_of_key(std::uint64_t key) const;
   std::uint64_t key_of_cell(const std::array<std::int64_t, 3>& cell) const;
-  void start(const std::vector<Vec3d>& points);
+  void start(std::span<const Vec3d> points);
   void make_room(std::uint64_t cells);
   bool make_keys(std::span<const Vec3d> points, std::uint64_t* keys) const;
   void insert(std::uint64_t key, std::uint64_t count);

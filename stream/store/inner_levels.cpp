@@ -26,7 +26,6 @@ std::array<std::uint32_t, 3> place_in_parent(const ChunkEntry& child, const Surf
   return {octant(0) | b.x[lane], octant(1) | b.y[lane], octant(2) | b.z[lane]};
 }
 
-// The bits in which any of the axes differs: two Morton codes part where the highest of these is.
 std::uint32_t differing_bits(const std::array<std::uint32_t, 3>& a, const std::array<std::uint32_t, 3>& b) { return (a[0] ^ b[0]) | (a[1] ^ b[1]) | (a[2] ^ b[2]); }
 
 struct Member {
@@ -49,11 +48,10 @@ class NodeBuilder {
     out_.entry.source_offset = static_cast<std::uint64_t>(bits);
     voxel_bits_ = bits;
     VoxelCursor cursor(bits);
-    std::vector<std::uint32_t> group;
     for_each_child([&](std::uint32_t number, const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
-      const std::span<const std::uint16_t> order = order_of(number, child, blocks);
-      cursor.next_child(child, blocks, order, group);
-      add_members(child, blocks, order, group);
+      const Order order = order_of(number, child, blocks);
+      cursor.next_child(child, blocks, order.slots, order.differences);
+      add_members(child, blocks, cursor);
     });
     finish_group();
     seal();
@@ -68,15 +66,19 @@ class NodeBuilder {
     }
   }
 
+  struct Order {
+    std::span<const std::uint16_t> slots, differences;
+  };
+  struct KeptOrder {
+    std::vector<std::uint16_t> slots, differences;
+  };
+
   // Children are gone through twice; more than eight are the parts of full cells, whose orders would take too much memory.
-  std::span<const std::uint16_t> order_of(std::uint32_t number, const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
-    if (number >= orders_.size()) return morton_.of(blocks, child.count);
-    std::vector<std::uint16_t>& kept = orders_[number];
-    if (kept.empty()) {
-      const std::span<const std::uint16_t> order = morton_.of(blocks, child.count);
-      kept.assign(order.begin(), order.end());
-    }
-    return kept;
+  Order order_of(std::uint32_t number, const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
+    if (number < orders_.size() && !orders_[number].slots.empty()) return {orders_[number].slots, orders_[number].differences};
+    const std::span<const std::uint16_t> slots = morton_.of(blocks, child.count), differences = morton_.differences();
+    if (number < orders_.size()) orders_[number] = {{slots.begin(), slots.end()}, {differences.begin(), differences.end()}};
+    return {slots, differences};
   }
 
   int choose_voxel_bits() {
@@ -84,13 +86,13 @@ class NodeBuilder {
     std::uint64_t total = 0;
     std::array<std::uint32_t, 3> last{};
     for_each_child([&](std::uint32_t number, const ChunkEntry& child, const std::vector<SurfelBlock>& blocks) {
-      for (const std::uint16_t slot : order_of(number, child, blocks)) {
-        const auto place = place_in_parent(child, blocks[slot / 16], slot % 16);
-        const std::uint32_t differ = total > 0 ? differing_bits(place, last) : 0;
+      const Order order = order_of(number, child, blocks);
+      const auto place = [&](std::uint16_t slot) { return place_in_parent(child, blocks[slot / 16], slot % 16); };
+      if (const std::uint32_t differ = differing_bits(place(order.slots.front()), last); total > 0 && differ != 0) ++first_differs[static_cast<std::size_t>(18 - std::bit_width(differ))];
+      for (const std::uint16_t differ : order.differences.subspan(1))
         if (differ != 0) ++first_differs[static_cast<std::size_t>(18 - std::bit_width(differ))];
-        last = place;
-        ++total;
-      }
+      last = place(order.slots.back());
+      total += order.slots.size();
     });
     const auto limit = std::min<std::uint64_t>(most_, static_cast<std::uint64_t>(kShare * static_cast<double>(total)));
     int bits = 0;
@@ -99,21 +101,21 @@ class NodeBuilder {
     return bits;
   }
 
-  void add_members(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::span<const std::uint16_t> order, const std::vector<std::uint32_t>& group) {
+  void add_members(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, const VoxelCursor& cursor) {
     const Vec3d octant(65536.0 * static_cast<double>(child.morton & 1), 65536.0 * static_cast<double>(child.morton >> 1 & 1), 65536.0 * static_cast<double>(child.morton >> 2 & 1));
     const RadiusTable radii(child.radius_max);
-    for (const std::uint16_t slot : order) {
-      if (group[slot] != group_) {
+    cursor.for_each_voxel([&](std::uint32_t group, std::span<const std::uint16_t> slots) {
+      if (group != group_) {
         finish_group();
-        group_ = group[slot];
+        group_ = group;
       }
-      const SurfelBlock& b = blocks[slot / 16];
-      const std::size_t lane = slot % 16;
-      if (num_members_ == 0) voxel_ = code_in_parent(child, b, lane) >> (3 * (17 - voxel_bits_));
-      Member m{(octant + Vec3d(b.x[lane] + 0.5, b.y[lane] + 0.5, b.z[lane] + 0.5)) / 2, decode_normal(b.normal_u[lane], b.normal_v[lane]),
-               radii.decode(b.log_radius[lane]), b.flags[lane]};
-      add(m);
-    }
+      if (num_members_ == 0) voxel_ = code_in_parent(child, blocks[slots.front() / 16], slots.front() % 16) >> (3 * (17 - voxel_bits_));
+      for (const std::uint16_t slot : slots) {
+        const SurfelBlock& b = blocks[slot / 16];
+        const std::size_t lane = slot % 16;
+        add({(octant + Vec3d(b.x[lane] + 0.5, b.y[lane] + 0.5, b.z[lane] + 0.5)) / 2, decode_normal(b.normal_u[lane], b.normal_v[lane]), radii.decode(b.log_radius[lane]), b.flags[lane]});
+      }
+    });
   }
 
   void add(const Member& m) {
@@ -217,7 +219,7 @@ class NodeBuilder {
   std::vector<float> radii_;
   ChunkFrame frame_;
   MortonOrder morton_;
-  std::array<std::vector<std::uint16_t>, 8> orders_;
+  std::array<KeptOrder, 8> orders_;
   int voxel_bits_ = 0;
   std::uint32_t group_ = 0;
   std::uint64_t voxel_ = 0, num_members_ = 0;
@@ -234,20 +236,22 @@ InnerNode make_inner_node(const Manifest& manifest, const std::vector<ChunkEntry
   return NodeBuilder(read, manifest, entries, node, chunk_surfels).run(voxel_bits);
 }
 
-void VoxelCursor::next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::vector<std::uint32_t>& group) {
-  next_child(child, blocks, morton_.of(blocks, child.count), group);
-}
-
-void VoxelCursor::next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::span<const std::uint16_t> order, std::vector<std::uint32_t>& group) {
+void VoxelCursor::next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::span<const std::uint16_t> order, std::span<const std::uint16_t> differences) {
   order_ = order;
-  group.resize(child.count);
-  for (const std::uint16_t slot : order) {
-    const auto place = place_in_parent(child, blocks[slot / 16], slot % 16);
-    if (started_ && differing_bits(place, last_) >> shift_ != 0) ++group_;
-    started_ = true;
-    last_ = place;
-    group[slot] = group_;
+  const auto place = [&](std::uint16_t slot) { return place_in_parent(child, blocks[slot / 16], slot % 16); };
+  if (num_voxels_ == 0 || differing_bits(place(order.front()), last_) >> shift_ != 0) ++num_voxels_;
+  first_ = num_voxels_ - 1;
+  begins_.resize(order.size() + 1);
+  std::uint32_t n = 1;
+  begins_[0] = 0;
+  for (std::uint32_t i = 1; i < order.size(); ++i) {
+    begins_[n] = i;
+    n += std::uint32_t{differences[i]} >> shift_ != 0;
   }
+  begins_[n] = static_cast<std::uint32_t>(order.size());
+  begins_.resize(n + 1);
+  num_voxels_ += n - 1;
+  last_ = place(order.back());
 }
 
 std::uint64_t build_inner_levels(File& geometry, std::uint64_t geometry_end, const Manifest& manifest, std::vector<ChunkEntry>& entries, std::uint32_t chunk_surfels,
@@ -256,10 +260,10 @@ std::uint64_t build_inner_levels(File& geometry, std::uint64_t geometry_end, con
   for (const ChunkEntry& e : entries) num_inner += !e.is_leaf();
   report.begin("inner levels", num_inner, "chunks");
   std::uint64_t done = 0;
-  const std::uint64_t per_node = 64ull * chunk_surfels + kMostMembers * sizeof(Member) / 8;
+  const std::uint64_t per_node = 80ull * chunk_surfels + kMostMembers * sizeof(Member) / 8;
   const auto workers = static_cast<std::size_t>(std::clamp<std::uint64_t>(budget.free_bytes() / 2 / per_node, 1, static_cast<std::uint64_t>(std::clamp(ThreadLimit::current(), 1, 64))));
-  const std::size_t wave = 2 * workers;
-  const BudgetLease lease(budget, per_node * workers + 16ull * chunk_surfels * wave, "inner levels");
+  const std::size_t slots = workers + 1;
+  const BudgetLease lease(budget, per_node * workers + 16ull * chunk_surfels * slots, "inner levels");
   const ReadBlocks read = [&](std::uint32_t chunk) { return read_blocks(geometry, entries[chunk]); };
   // Deeper levels stand behind in the index; a level is finished before the one above reads it.
   for (std::size_t end = entries.size(); end > 0;) {
@@ -268,20 +272,27 @@ std::uint64_t build_inner_levels(File& geometry, std::uint64_t geometry_end, con
     std::vector<std::size_t> nodes;
     for (std::size_t i = begin; i < end; ++i)
       if (!entries[i].is_leaf()) nodes.push_back(i);
-    for (std::size_t first = 0; first < nodes.size(); first += wave) {
-      const std::size_t n = std::min(wave, nodes.size() - first);
-      std::vector<InnerNode> made(n);
+    std::vector<InnerNode> made(slots);
+    std::vector<std::size_t> node_in(slots);
+    std::size_t next = 0;
+    const auto start = [&](std::size_t slot) {
+      if (next == nodes.size()) return false;
+      node_in[slot] = nodes[next++];
+      return true;
+    };
+    const auto make = [&](std::size_t slot) {
       report.check();
-      parallel_blocks(n, 1, [&](std::size_t i, std::size_t) { made[i] = make_inner_node(manifest, entries, entries[nodes[first + i]], read, chunk_surfels); });
-      for (std::size_t i = 0; i < n; ++i) {
-        InnerNode& node = made[i];
-        node.entry.offset = geometry_end;
-        geometry.write_at(geometry_end, node.blocks.data(), geometry_bytes(node.entry.count));
-        geometry_end += (geometry_bytes(node.entry.count) + kChunkAlignment - 1) / kChunkAlignment * kChunkAlignment;
-        entries[nodes[first + i]] = node.entry;
-      }
-      report.progress(done += n);
-    }
+      made[slot] = make_inner_node(manifest, entries, entries[node_in[slot]], read, chunk_surfels);
+    };
+    const auto store = [&](std::size_t slot) {
+      InnerNode node = std::move(made[slot]);
+      node.entry.offset = geometry_end;
+      geometry.write_at(geometry_end, node.blocks.data(), geometry_bytes(node.entry.count));
+      geometry_end += (geometry_bytes(node.entry.count) + kChunkAlignment - 1) / kChunkAlignment * kChunkAlignment;
+      entries[node_in[slot]] = node.entry;
+      report.progress(++done);
+    };
+    ordered_pipeline(slots, start, make, store);
     end = begin;
   }
   report.end();

@@ -20,20 +20,20 @@ namespace chiaro::stream {
 class VoxelCursor {
  public:
   explicit VoxelCursor(int voxel_bits) : shift_(17 - voxel_bits) {}
-  /// Number of the parent's surfel for each slot of the next child.
-  void next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::vector<std::uint32_t>& group);
-  /// The same where the order of the child is known.
-  void next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::span<const std::uint16_t> order, std::vector<std::uint32_t>& group);
-  /// Slots of the last child, voxel after voxel.
-  std::span<const std::uint16_t> order() const { return order_; }
-  std::uint32_t num_groups() const { return started_ ? group_ + 1 : 0; }
+  /// order, differences: of the child's surfels, as MortonOrder gives them; not empty.
+  void next_child(const ChunkEntry& child, const std::vector<SurfelBlock>& blocks, std::span<const std::uint16_t> order, std::span<const std::uint16_t> differences);
+  /// Calls body(voxel, slots) for each voxel that the last child occupies: its number among those of the node, and the child's slots in it.
+  template <class F>
+  void for_each_voxel(const F& body) const {
+    for (std::size_t i = 0; i + 1 < begins_.size(); ++i) body(static_cast<std::uint32_t>(first_ + i), order_.subspan(begins_[i], begins_[i + 1] - begins_[i]));
+  }
+  std::uint32_t num_voxels() const { return num_voxels_; }
 
  private:
   int shift_;
-  MortonOrder morton_;
   std::span<const std::uint16_t> order_;
-  bool started_ = false;
-  std::uint32_t group_ = 0;
+  std::vector<std::uint32_t> begins_;   // of each voxel in the order, and the end
+  std::uint32_t first_ = 0, num_voxels_ = 0;
   std::array<std::uint32_t, 3> last_{};
 };
 

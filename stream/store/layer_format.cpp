@@ -22,74 +22,130 @@ const char* const kTypeNames[] = {"f32", "f16", "u16", "u8"};
 
 std::size_t type_bytes(FieldType t) { return t == FieldType::kF32 ? 4 : t == FieldType::kU8 ? 1 : 2; }
 
-double read_value(FieldType type, const std::byte* p) {
-  switch (type) {
-    case FieldType::kF32: { float v; std::memcpy(&v, p, 4); return v; }
-    case FieldType::kF16: { Eigen::half v; std::memcpy(&v.x, p, 2); return static_cast<float>(v); }
-    case FieldType::kU16: { std::uint16_t v; std::memcpy(&v, p, 2); return v; }
-    case FieldType::kU8: break;
-  }
-  return static_cast<double>(std::to_integer<std::uint8_t>(*p));
-}
-
-void write_value(FieldType type, double value, std::byte* p) {
-  switch (type) {
-    case FieldType::kF32: { const auto v = static_cast<float>(value); std::memcpy(p, &v, 4); return; }
-    case FieldType::kF16: { const Eigen::half v(static_cast<float>(value)); std::memcpy(p, &v.x, 2); return; }
-    case FieldType::kU16: { const auto v = static_cast<std::uint16_t>(value); std::memcpy(p, &v, 2); return; }
-    case FieldType::kU8: break;
-  }
-  *p = static_cast<std::byte>(static_cast<std::uint8_t>(value));
-}
-
 bool is_real(FieldType t) { return t == FieldType::kF32 || t == FieldType::kF16; }
 
-/// Mean of what counts: finite values of real fields, records with a non-zero component of integer fields.
-class RecordMean {
+template <class F>
+void with_type(FieldType type, const F& body) {
+  switch (type) {
+    case FieldType::kF32: return body(float{});
+    case FieldType::kF16: return body(Eigen::half{});
+    case FieldType::kU16: return body(std::uint16_t{});
+    case FieldType::kU8: return body(std::uint8_t{});
+  }
+}
+
+/// Values of one component, one after the other wherever they lie.
+template <class T>
+class Column {
  public:
-  explicit RecordMean(const std::vector<LayerField>& fields) : fields_(fields) {
-    std::size_t n = 0;
-    for (const LayerField& f : fields) n += static_cast<std::size_t>(f.components);
-    sum_.resize(n);
-    count_.resize(n);
-  }
-  /// Adds record `slot` of `count` planar records.
-  void add(const std::byte* planar, std::size_t count, std::size_t slot) {
-    std::size_t at = 0;
-    const std::byte* field = planar;
-    for (const LayerField& f : fields_) {
-      const std::size_t bytes = type_bytes(f.type), n = static_cast<std::size_t>(f.components);
-      bool any = is_real(f.type);
-      for (std::size_t c = 0; c < n && !any; ++c) any = read_value(f.type, field + (c * count + slot) * bytes) != 0;
-      for (std::size_t c = 0; c < n; ++c, ++at) {
-        const double v = read_value(f.type, field + (c * count + slot) * bytes);
-        if (!any || !std::isfinite(v)) continue;
-        sum_[at] += v;
-        ++count_[at];
-      }
-      field += n * count * bytes;
-    }
-  }
-  /// Writes the mean as record `slot` of `count` planar records and starts anew.
-  void finish(std::byte* planar, std::size_t count, std::size_t slot) {
-    std::size_t at = 0;
-    std::byte* field = planar;
-    for (const LayerField& f : fields_) {
-      const std::size_t bytes = type_bytes(f.type), n = static_cast<std::size_t>(f.components);
-      for (std::size_t c = 0; c < n; ++c, ++at) {
-        const double mean = count_[at] > 0 ? sum_[at] / static_cast<double>(count_[at]) : is_real(f.type) ? std::numeric_limits<double>::quiet_NaN() : 0.0;
-        write_value(f.type, is_real(f.type) ? mean : std::floor(mean + 0.5), field + (c * count + slot) * bytes);
-        sum_[at] = 0;
-        count_[at] = 0;
-      }
-      field += n * count * bytes;
-    }
+  Column(const std::byte* values) : values_(values) {}
+  T operator[](std::size_t i) const {
+    T v;
+    std::memcpy(&v, values_ + i * sizeof v, sizeof v);
+    return v;
   }
 
  private:
+  const std::byte* values_;
+};
+
+/// Means over the voxels of a node, of what counts: finite values of real fields, records with a non-zero component of integer fields.
+class VoxelMeans {
+ public:
+  VoxelMeans(const std::vector<LayerField>& fields, std::uint32_t voxels) : fields_(fields), voxels_(voxels), means_(voxels * record_bytes_of(fields)) {
+    std::size_t n = 0;
+    for (const LayerField& f : fields) n += static_cast<std::size_t>(f.components);
+    open_.resize(n);
+  }
+
+  /// planar: `count` records, of which the voxels of the cursor's child hold some each.
+  void add(const VoxelCursor& cursor, const std::byte* planar, std::size_t count) {
+    for_each_field([&](const LayerField& f, std::size_t first, std::byte* means) {
+      if (!is_real(f.type)) find_some(f, planar, count);
+      with_type(f.type, [&]<class T>(T) {
+        for (std::size_t c = 0; c < static_cast<std::size_t>(f.components); ++c) add_component(cursor, Column<T>(planar + c * count * sizeof(T)), open_[first + c], means + c * voxels_ * sizeof(T));
+      });
+      planar += static_cast<std::size_t>(f.components) * count * type_bytes(f.type);
+    });
+    open_voxel_ = cursor.num_voxels() - 1;
+  }
+
+  /// Planar records of the voxels, once all children have been added.
+  std::vector<std::byte> take() {
+    for_each_field([&](const LayerField& f, std::size_t first, std::byte* means) {
+      with_type(f.type, [&]<class T>(T) {
+        for (std::size_t c = 0; c < static_cast<std::size_t>(f.components); ++c) put<T>(open_[first + c], open_voxel_, means + c * voxels_ * sizeof(T));
+      });
+    });
+    return std::move(means_);
+  }
+
+ private:
+  struct Sum {
+    double sum = 0;
+    std::uint64_t count = 0;
+  };
+
+  // body(field, number of its first component, its means)
+  template <class F>
+  void for_each_field(const F& body) {
+    std::size_t first = 0;
+    std::byte* means = means_.data();
+    for (const LayerField& f : fields_) {
+      body(f, first, means);
+      first += static_cast<std::size_t>(f.components);
+      means += static_cast<std::size_t>(f.components) * voxels_ * type_bytes(f.type);
+    }
+  }
+
+  // Which records have a component that is not zero.
+  void find_some(const LayerField& f, const std::byte* planar, std::size_t count) {
+    some_.assign(count, 0);
+    with_type(f.type, [&]<class T>(T) {
+      for (std::size_t c = 0; c < static_cast<std::size_t>(f.components); ++c) {
+        const Column<T> values(planar + c * count * sizeof(T));
+        for (std::size_t i = 0; i < count; ++i) some_[i] = static_cast<std::uint8_t>(some_[i] | (values[i] != T{}));
+      }
+    });
+  }
+
+  // The last voxel of a child may go on in the next one: its sum stays open.
+  template <class T>
+  void add_component(const VoxelCursor& cursor, const Column<T>& values, Sum& open, std::byte* means) const {
+    Sum sum = open;
+    std::uint32_t current = open_voxel_;
+    cursor.for_each_voxel([&](std::uint32_t voxel, std::span<const std::uint16_t> slots) {
+      if (voxel != current) {
+        put<T>(sum, current, means);
+        current = voxel;
+        sum = {};
+      }
+      for (const std::uint16_t slot : slots) {
+        const auto value = static_cast<double>(values[slot]);
+        bool counts;
+        if constexpr (std::is_integral_v<T>) counts = some_[slot] != 0;
+        else counts = std::isfinite(value);
+        sum.sum += counts ? value : 0.0;
+        sum.count += counts;
+      }
+    });
+    open = sum;
+  }
+
+  template <class T>
+  static void put(const Sum& sum, std::uint32_t voxel, std::byte* means) {
+    T value;
+    if constexpr (std::is_integral_v<T>) value = sum.count > 0 ? static_cast<T>(std::floor(sum.sum / static_cast<double>(sum.count) + 0.5)) : T{};
+    else value = static_cast<T>(static_cast<float>(sum.count > 0 ? sum.sum / static_cast<double>(sum.count) : std::numeric_limits<double>::quiet_NaN()));
+    std::memcpy(means + voxel * sizeof value, &value, sizeof value);
+  }
+
   const std::vector<LayerField>& fields_;
-  std::vector<double> sum_;
-  std::vector<std::uint64_t> count_;
+  std::size_t voxels_;
+  std::vector<std::byte> means_;
+  std::vector<Sum> open_;              // of each component, for open_voxel_
+  std::uint32_t open_voxel_ = 0;
+  std::vector<std::uint8_t> some_;
 };
 
 std::vector<LayerField> parse_fields(const fs::path& path, const nlohmann::json& j) {
@@ -172,36 +228,31 @@ std::vector<std::uint64_t> value_offsets(const Store& store, std::size_t record_
 
 std::vector<std::byte> unseen_values(const std::vector<LayerField>& fields, std::uint32_t count) {
   std::vector<std::byte> planar(count * record_bytes_of(fields));
-  RecordMean nothing(fields);
-  for (std::uint32_t slot = 0; slot < count; ++slot) nothing.finish(planar.data(), count, slot);
+  std::byte* at = planar.data();
+  for (const LayerField& f : fields)
+    with_type(f.type, [&]<class T>(T) {
+      const T nothing = std::is_integral_v<T> ? T{} : static_cast<T>(std::numeric_limits<float>::quiet_NaN());
+      for (std::size_t i = 0; i < count * static_cast<std::size_t>(f.components); ++i, at += sizeof nothing) std::memcpy(at, &nothing, sizeof nothing);
+    });
   return planar;
 }
 
 std::vector<std::byte> mean_of_children(const Store& store, std::uint32_t node, const std::vector<LayerField>& fields, const ReadValues& read) {
   const ChunkEntry& e = store.chunks()[node];
-  std::vector<std::byte> out(e.count * record_bytes_of(fields));
   VoxelCursor cursor(static_cast<int>(e.source_offset));
-  RecordMean mean(fields);
-  std::vector<std::uint32_t> group;
-  std::uint32_t current = 0;
-  const auto finish = [&](std::uint32_t slot) {
-    if (slot >= e.count) throw Error(concat(store.path().string(), ": chunk ", node, " holds ", e.count, " surfels, its children make more"));
-    mean.finish(out.data(), e.count, slot);
-  };
+  VoxelMeans means(fields, e.count);
+  MortonOrder morton;
   for (std::uint32_t c = 0; c < e.num_children; ++c) {
     const std::uint32_t child = e.first_child + c;
     const Chunk geometry = store.read_chunk(child);
     const std::vector<std::byte> values = read(child);
-    cursor.next_child(store.chunks()[child], geometry.blocks, group);
-    for (const std::uint16_t slot : cursor.order()) {
-      if (group[slot] != current) finish(current);
-      current = group[slot];
-      mean.add(values.data(), geometry.count, slot);
-    }
+    const std::span<const std::uint16_t> order = morton.of(geometry.blocks, geometry.count);
+    cursor.next_child(store.chunks()[child], geometry.blocks, order, morton.differences());
+    if (cursor.num_voxels() > e.count) throw Error(concat(store.path().string(), ": chunk ", node, " holds ", e.count, " surfels, its children make more"));
+    means.add(cursor, values.data(), geometry.count);
   }
-  finish(current);
-  if (current + 1 != e.count) throw Error(concat(store.path().string(), ": chunk ", node, " holds ", e.count, " surfels, its children make ", current + 1));
-  return out;
+  if (cursor.num_voxels() != e.count) throw Error(concat(store.path().string(), ": chunk ", node, " holds ", e.count, " surfels, its children make ", cursor.num_voxels()));
+  return means.take();
 }
 
 }  // namespace chiaro::stream

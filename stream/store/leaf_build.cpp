@@ -9,6 +9,7 @@
 #include "stream/base/hash.h"
 #include "stream/base/parallel.h"
 #include "stream/store/leaf_fit.h"
+#include "stream/store/place_kernels.h"
 #include "stream/store/store_format.h"
 #include "stream/store/surfel_order.h"
 
@@ -33,49 +34,56 @@ struct LeafData {
 
 /// Room for encoding one leaf after the other.
 struct EncodeRoom {
+  std::vector<std::uint64_t> codes;
+  AxisColumns<std::uint16_t> places;
   std::vector<StoredPosition> positions;
   PatchOrder patches;
 };
 
 // In Morton order a leaf is cheaper to make, in patches cheaper to use: a guessed surfel is a preview.
+std::span<const std::uint16_t> order_of(std::size_t count, const LeafRules& rules, EncodeRoom& room) {
+  if (rules.guess_surfels) return {};
+  room.positions.resize(count);
+  for (std::size_t i = 0; i < count; ++i) room.positions[i] = {room.places.of[0][i], room.places.of[1][i], room.places.of[2][i]};
+  return room.patches.of(room.positions);
+}
+
 LeafData encode_leaf(const SpillRecord* records, std::size_t count, std::uint64_t morton, int level, int part, const LeafRules& rules, bool has_colour, EncodeRoom& room) {
   LeafData leaf;
   leaf.entry.morton = morton;
   leaf.entry.level = static_cast<std::uint8_t>(level);
   leaf.entry.part = static_cast<std::uint8_t>(part);
   leaf.entry.count = static_cast<std::uint32_t>(count);
-  leaf.entry.tight_min = {65535, 65535, 65535};
   leaf.blocks.resize((count + 15) / 16);
   std::vector<std::uint64_t> sources(count);
   if (has_colour) leaf.colours.resize(3 * count);
-  std::span<const std::uint16_t> order;
-  if (!rules.guess_surfels) {
-    room.positions.resize(count);
-    for (std::size_t i = 0; i < count; ++i) {
-      const auto q = morton_decode(local_of(records[i].key(), level));
-      room.positions[i] = {static_cast<std::uint16_t>(q[0]), static_cast<std::uint16_t>(q[1]), static_cast<std::uint16_t>(q[2])};
-    }
-    order = room.patches.of(room.positions);
+  room.codes.resize(count);
+  for (std::size_t i = 0; i < count; ++i) room.codes[i] = local_of(records[i].key(), level);
+  places_of_codes(room.codes, room.places);
+  for (std::size_t a = 0; a < 3; ++a) {
+    const ValueRange range = range_of(room.places.of[a]);
+    leaf.entry.tight_min[a] = range.low;
+    leaf.entry.tight_max[a] = range.high;
   }
+  const std::span<const std::uint16_t> order = order_of(count, rules, room);
+  const std::uint8_t with_normal = rules.normals_have_sign ? SurfelBlock::kOriented : std::uint8_t{0};
   for (std::size_t i = 0; i < leaf.blocks.size() * 16; ++i) {
-    const bool padding = i >= count;
-    const std::size_t last = std::min(i, count - 1);
-    const SpillRecord& r = records[order.empty() ? last : order[last]];
+    const std::size_t last = std::min(i, count - 1), from = order.empty() ? last : order[last];
+    const SpillRecord& r = records[from];
     SurfelBlock& b = leaf.blocks[i / 16];
     const std::size_t lane = i % 16;
-    const auto q = morton_decode(local_of(r.key(), level));
-    b.x[lane] = static_cast<std::uint16_t>(q[0]);
-    b.y[lane] = static_cast<std::uint16_t>(q[1]);
-    b.z[lane] = static_cast<std::uint16_t>(q[2]);
+    b.x[lane] = room.places.of[0][from];
+    b.y[lane] = room.places.of[1][from];
+    b.z[lane] = room.places.of[2][from];
     b.normal_u[lane] = r.normal[0];
     b.normal_v[lane] = r.normal[1];
-    b.flags[lane] = padding ? SurfelBlock::kPadding : r.has_normal() ? (rules.normals_have_sign ? SurfelBlock::kOriented : std::uint8_t{0}) : SurfelBlock::kEstimated;
-    if (padding) continue;
-    for (std::size_t a = 0; a < 3; ++a) {
-      leaf.entry.tight_min[a] = std::min(leaf.entry.tight_min[a], static_cast<std::uint16_t>(q[a]));
-      leaf.entry.tight_max[a] = std::max(leaf.entry.tight_max[a], static_cast<std::uint16_t>(q[a]));
-      if (has_colour) leaf.colours[a * count + i] = r.colour[a];
+    if (i >= count) {
+      b.flags[lane] = SurfelBlock::kPadding;
+      continue;
     }
+    b.flags[lane] = r.has_normal() ? with_normal : SurfelBlock::kEstimated;
+    if (has_colour)
+      for (std::size_t a = 0; a < 3; ++a) leaf.colours[a * count + i] = r.colour[a];
     sources[i] = r.source();
   }
   pack_sources(sources, leaf.sources);
@@ -154,27 +162,22 @@ class LeafAssembler {
       : spill_(spill), spill_end_(spill_end), root_(root), rules_(rules), files_(files), budget_(budget), report_(report) {}
 
   std::vector<ChunkEntry> run(const std::vector<Partition>& partitions) {
-    const LeafWorkers limits = leaf_workers(budget_, rules_.chunk_surfels);
+    const std::uint64_t capacity = leaf_workers(budget_, rules_.chunk_surfels).capacity;
     SpillPages pages = find_pages(spill_, spill_end_, partitions);
-    std::vector<Job> wave;
-    const auto wave_size = static_cast<std::size_t>(limits.workers);
-    std::size_t fetched = 0;
-    for (std::size_t i = 0; i < partitions.size(); ++i) {
-      // A partition lies in hundreds of small pages all over the file: asked for one after the other they would come at the pace of the disk's latency.
-      for (; fetched < std::min(partitions.size(), i + 2 * wave_size + 1); ++fetched)
-        for (const SpillPage& page : pages[fetched]) spill_.will_need(page.offset, page.bytes);
+    const auto job_of = [&](std::size_t i) {
       const MortonKey begin = cell_begin(partitions[i].begin, kMaxLevel);
       const MortonKey end = i + 1 < partitions.size() ? cell_begin(partitions[i + 1].begin, kMaxLevel) : cell_begin(1, 0);
-      Job job{std::move(pages[i]), partitions[i].count, {begin, end}, {}};
-      if (job.count > limits.capacity) {
-        finish_wave(wave);
-        build_oversized(job, limits.capacity);
+      return Job{std::move(pages[i]), partitions[i].count, {begin, end}, {}};
+    };
+    for (std::size_t i = 0; i < partitions.size();) {
+      if (partitions[i].count > capacity) {
+        build_oversized(job_of(i++), capacity);
         continue;
       }
-      wave.push_back(std::move(job));
-      if (wave.size() == wave_size) finish_wave(wave);
+      std::vector<Job> jobs;
+      for (; i < partitions.size() && partitions[i].count <= capacity; ++i) jobs.push_back(job_of(i));
+      build(jobs);
     }
-    finish_wave(wave);
     close_open_leaf();
     return std::move(entries_);
   }
@@ -186,27 +189,53 @@ class LeafAssembler {
     KeyRange range;
     std::vector<LeafData> leaves;
   };
+  struct Room {
+    PageReader pages;
+    std::vector<SpillRecord> records;
+    SortRoom sorting;
+    EncodeRoom encoding;
+  };
 
-  void finish_wave(std::vector<Job>& wave) {
-    std::uint64_t points = 0;
-    for (const Job& job : wave) points += job.count;
-    const BudgetLease lease(budget_, points * kBytesPerPoint, "sorting of points");
-    if (rooms_.size() < wave.size()) rooms_.resize(wave.size());
-    parallel_blocks(wave.size(), 1, [&](std::size_t j, std::size_t) {
+  // Some are sorted while the leaves of those before are written.
+  void build(std::vector<Job>& jobs) {
+    std::uint64_t largest = 0;
+    for (const Job& job : jobs) largest = std::max(largest, job.count);
+    const auto workers = static_cast<std::size_t>(leaf_workers(budget_, rules_.chunk_surfels).workers);
+    const bool room_for_one_more = (workers + 1) * largest * kBytesPerPoint <= budget_.free_bytes() / 10 * 7;
+    const std::size_t slots = std::min(jobs.size(), room_for_one_more ? workers + 1 : workers);
+    const BudgetLease lease(budget_, slots * largest * kBytesPerPoint, "sorting of points");
+    rooms_.resize(std::max(rooms_.size(), slots));
+    std::vector<std::size_t> job_in(slots);
+    std::size_t next = 0, fetched = 0;
+    const auto begin = [&](std::size_t slot) {
+      if (next == jobs.size()) return false;
+      // A partition lies in hundreds of small pages all over the file: asked for one after the other they would come at the pace of the disk's latency.
+      for (; fetched < std::min(jobs.size(), next + slots + 1); ++fetched)
+        for (const SpillPage& page : jobs[fetched].pages) spill_.will_need(page.offset, page.bytes);
+      job_in[slot] = next++;
+      return true;
+    };
+    const auto work = [&](std::size_t slot) {
       report_.check();
-      std::vector<SpillRecord>& records = rooms_[j].records;
-      records.clear();
-      records.reserve(wave[j].count);
-      for (const SpillPage& page : wave[j].pages) read_page(spill_, page, root_, records);
-      sort_by_key(records, rooms_[j].sorting);
-      wave[j].leaves = RangeBuilder(records, wave[j].range, rules_, files_.colour != nullptr, rooms_[j].encoding).take();
-    });
-    for (Job& job : wave) {
+      sort(jobs[job_in[slot]], rooms_[slot]);
+    };
+    const auto end = [&](std::size_t slot) {
+      Job& job = jobs[job_in[slot]];
       for (LeafData& leaf : job.leaves) write(leaf);
+      job.leaves = {};
       done_ += job.count;
       report_.progress(done_);
-    }
-    wave.clear();
+    };
+    ordered_pipeline(slots, begin, work, end);
+  }
+
+  void sort(Job& job, Room& room) const {
+    room.records.clear();
+    room.records.reserve(job.count);
+    for (const SpillPage& page : job.pages) room.pages.read(spill_, page, root_, room.records);
+    job.pages = {};
+    sort_by_key(room.records, room.sorting);
+    job.leaves = RangeBuilder(room.records, job.range, rules_, files_.colour != nullptr, room.encoding).take();
   }
 
   // One cell with more points than fit: its records are distributed again, by the next bits of their keys, behind the others in the spill file.
@@ -233,13 +262,13 @@ class LeafAssembler {
     cut(cells, job, base, depth, depth - shared, capacity, jobs, job_of);
     const std::uint64_t saved = spill_end_;
     redistribute(job, base, depth, jobs, job_of);
-    std::vector<Job> one;
     for (Job& j : jobs) {
       if (j.count > capacity) {
         build_oversized(j, capacity);
       } else {
-        one.push_back(std::move(j));
-        finish_wave(one);
+        std::vector<Job> one(1);
+        one[0] = std::move(j);
+        build(one);
       }
     }
     spill_end_ = saved;
@@ -250,10 +279,11 @@ class LeafAssembler {
 
   template <class F>
   void for_each_record(const Job& job, const F& body) {
+    PageReader reader;
     std::vector<SpillRecord> records;
     for (const SpillPage& page : job.pages) {
       records.clear();
-      read_page(spill_, page, root_, records);
+      reader.read(spill_, page, root_, records);
       for (const SpillRecord& r : records) body(r);
     }
   }
@@ -358,12 +388,7 @@ class LeafAssembler {
   std::uint64_t open_morton_ = 0;
   int open_part_ = 0;
   EncodeRoom open_room_;
-  struct Room {
-    std::vector<SpillRecord> records;
-    SortRoom sorting;
-    EncodeRoom encoding;
-  };
-  std::vector<Room> rooms_;   // one for each job of a wave, used again by the next
+  std::vector<Room> rooms_;   // one for each job at a time, used again by the next
 };
 
 }  // namespace

@@ -34,18 +34,6 @@ inline std::uint32_t compact_bits(std::uint64_t v) {
 inline std::uint64_t morton_encode(std::uint64_t x, std::uint64_t y, std::uint64_t z) {
   return spread_bits(x) | spread_bits(y) << 1 | spread_bits(z) << 2;
 }
-/// Morton codes of three numbers of at most 10 bits, by table.
-class ShortMorton {
- public:
-  static constexpr int kBits = 10;
-  ShortMorton() {
-    for (std::uint32_t v = 0; v < spread_.size(); ++v) spread_[v] = static_cast<std::uint32_t>(spread_bits(v));
-  }
-  std::uint64_t encode(std::uint64_t x, std::uint64_t y, std::uint64_t z) const { return spread_[x] | spread_[y] << 1 | spread_[z] << 2; }
-
- private:
-  std::array<std::uint32_t, 1 << kBits> spread_;
-};
 inline std::array<std::uint32_t, 3> morton_decode(std::uint64_t m) { return {compact_bits(m), compact_bits(m >> 1), compact_bits(m >> 2)}; }
 
 /// 111-bit Morton key of a point: 21 levels of cells (high) and 16 below (low).

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstring>
 #include <span>
+#include <stdexcept>
 #include <utility>
 
 #include "stream/base/error.h"
@@ -39,26 +40,29 @@ std::size_t packed_bytes(std::uint32_t count, int bits) { return (static_cast<st
 
 using Values = std::vector<std::int64_t>;
 
+// 257 times a byte: the same byte twice.
+bool is_byte_twice(std::int64_t v) { return (v >> 8) == (v & 255); }
+
 ColumnHeader header_of(const Values& values, bool colour) {
   ColumnHeader h;
   std::int64_t low = values[0], high = low;
+  bool bytes = colour;
   for (const std::int64_t v : values) {
     low = std::min(low, v);
     high = std::max(high, v);
+    bytes &= is_byte_twice(v);
   }
   h.min = low;
   if (low == high) return h;
-  h.min = 0;
   std::uint64_t differ = 0;
-  if (colour && std::all_of(values.begin(), values.end(), [](std::int64_t v) { return v % static_cast<std::int64_t>(kColourStep) == 0; })) {
+  if (bytes) {
+    h.min = 0;
     h.factor = kColourStep;
-    differ = static_cast<std::uint64_t>(high) / kColourStep;
+    differ = static_cast<std::uint64_t>(high) >> 8;
   } else {
-    h.min = low;
     for (const std::int64_t v : values) differ |= static_cast<std::uint64_t>(v - low);
+    h.shift = static_cast<std::uint8_t>(std::countr_zero(differ));
   }
-  h.shift = static_cast<std::uint8_t>(differ == 0 ? 0 : std::countr_zero(differ));
-  if (h.factor != 1) h.shift = 0;
   h.bits = static_cast<std::uint8_t>(std::bit_width(differ) - h.shift);
   return h;
 }
@@ -70,9 +74,9 @@ void pack(const Values& values, const ColumnHeader& h, std::vector<std::byte>& o
   out.resize(begin + packed_bytes(static_cast<std::uint32_t>(values.size()), h.bits));
   std::byte* at = out.data() + begin;
   if (h.bits == 0) return;
+  const int shift = h.factor != 1 ? 8 : h.shift;   // of the two bytes alike
   for (const std::int64_t v : values) {
-    std::uint64_t row = static_cast<std::uint64_t>(v - h.min) >> h.shift;
-    if (h.factor != 1) row /= kColourStep;
+    const std::uint64_t row = static_cast<std::uint64_t>(v - h.min) >> shift;
     word |= row << filled;
     filled += h.bits;
     if (filled < 64) continue;
@@ -87,6 +91,7 @@ void pack(const Values& values, const ColumnHeader& h, std::vector<std::byte>& o
 // bits <= 56; eight bytes behind the column are readable.
 void unpack(const std::byte* from, const ColumnHeader& h, std::size_t count, Values& values) {
   values.resize(count);
+  if (h.bits == 0) return std::fill(values.begin(), values.end(), h.min);
   const std::uint64_t mask = (std::uint64_t{1} << h.bits) - 1;
   for (std::size_t i = 0; i < count; ++i) {
     const std::size_t bit = i * h.bits;
@@ -136,7 +141,7 @@ SpillPoint spill_point(const SpillRecord& r) {
 
 SpillWriter::SpillWriter(File& file, const RootCube& root, const std::vector<Partition>& partitions, std::uint64_t offset, MemoryBudget& budget, std::uint64_t buffer_bytes)
     : file_(file), root_(root), out_offset_(offset) {
-  const std::uint64_t per_partition = std::clamp<std::uint64_t>(buffer_bytes / partitions.size(), 4096, 1 << 16);
+  const std::uint64_t per_partition = std::clamp<std::uint64_t>(buffer_bytes / partitions.size(), 4096, 1 << 15);
   out_bytes_ = std::clamp<std::uint64_t>(buffer_bytes / 4, 1 << 14, 1 << 20);
   buffer_points_ = static_cast<std::uint32_t>(per_partition / sizeof(SpillPoint));
   lease_ = BudgetLease(budget, partitions.size() * (buffer_points_ * sizeof(SpillPoint) + 64) + out_bytes_ + per_partition, "spill buffers");
@@ -203,8 +208,10 @@ void SpillWriter::flush(std::size_t partition) {
   for (std::size_t a = 0; a < 3; ++a) add_column(kX + a, [a](const SpillPoint& p) { return p.place[a]; });
   add_column(kSource, [](const SpillPoint& p) { return p.source; });
   for (std::size_t c = 0; c < 3; ++c) add_column(kRed + c, [c](const SpillPoint& p) { return p.colour[c]; });
-  for (std::size_t c = 0; c < 2; ++c) add_column(kNormalU + c, [c](const SpillPoint& p) { return p.normal[c]; });
-  add_column(kHasNormal, [](const SpillPoint& p) { return p.has_normal; });
+  if (std::any_of(points, points + n, [](const SpillPoint& p) { return p.has_normal; })) {
+    for (std::size_t c = 0; c < 2; ++c) add_column(kNormalU + c, [c](const SpillPoint& p) { return p.normal[c]; });
+    add_column(kHasNormal, [](const SpillPoint& p) { return p.has_normal; });
+  }
   h.bytes = static_cast<std::uint32_t>(out_.size() - begin);
   std::memcpy(out_.data() + begin, &h, sizeof h);
   h.crc = crc32c(out_.data() + begin + kCheckedFrom, h.bytes - kCheckedFrom);
@@ -247,31 +254,50 @@ SpillPages find_pages(const File& file, std::uint64_t end, const std::vector<Par
   return pages;
 }
 
-void read_page(const File& file, const SpillPage& page, const RootCube& root, std::vector<SpillRecord>& records) {
-  std::vector<std::byte> bytes(page.bytes + 8);
-  file.read_at(page.offset, bytes.data(), page.bytes);
+void PageReader::read(const File& file, const SpillPage& page, const RootCube& root, std::vector<SpillRecord>& records) {
+  bytes_.resize(page.bytes + 8);
+  file.read_at(page.offset, bytes_.data(), page.bytes);
   PageHeader h;
   if (page.bytes < sizeof h) damaged(file, page.offset);
-  std::memcpy(&h, bytes.data(), sizeof h);
-  if (!is_plausible(h) || h.bytes != page.bytes || h.count != page.count || h.crc != crc32c(bytes.data() + kCheckedFrom, page.bytes - kCheckedFrom)) damaged(file, page.offset);
-  std::array<Values, kNumColumns> v;
-  const std::byte* at = bytes.data() + sizeof h;
-  for (std::size_t c = 0; c < kNumColumns; ++c) {
-    unpack(at, h.columns[c], h.count, v[c]);
-    at += packed_bytes(h.count, h.columns[c].bits);
-  }
-  const PositionGrid grid{{h.scale[0], h.scale[1], h.scale[2]}, {h.add[0], h.add[1], h.add[2]}};
+  std::memcpy(&h, bytes_.data(), sizeof h);
+  if (!is_plausible(h) || h.bytes != page.bytes || h.count != page.count || h.crc != crc32c(bytes_.data() + kCheckedFrom, page.bytes - kCheckedFrom)) damaged(file, page.offset);
   const std::size_t first = records.size();
   records.resize(first + h.count);
-  for (std::size_t i = 0; i < h.count; ++i) {
-    const auto q = place_in_root(root, h.on_grid ? &grid : nullptr, {v[kX][i], v[kY][i], v[kZ][i]});
-    SpillRecord& r = records[first + i];
-    r.cells = morton_encode(q[0] >> kLocalBits, q[1] >> kLocalBits, q[2] >> kLocalBits);
-    r.local_flags = morton_encode(q[0] & 0xffff, q[1] & 0xffff, q[2] & 0xffff) | (v[kHasNormal][i] ? SpillRecord::kHasNormal : 0);
-    r.source_low = static_cast<std::uint32_t>(v[kSource][i]);
-    r.source_high = static_cast<std::uint8_t>(v[kSource][i] >> 32);
-    r.colour = {static_cast<std::uint16_t>(v[kRed][i]), static_cast<std::uint16_t>(v[kGreen][i]), static_cast<std::uint16_t>(v[kBlue][i])};
-    r.normal = {static_cast<std::int16_t>(v[kNormalU][i]), static_cast<std::int16_t>(v[kNormalV][i])};
+  const std::span<SpillRecord> to(records.data() + first, h.count);
+  const std::byte* at = bytes_.data() + sizeof h;
+  const auto next = [&](std::size_t column, Values& values) {
+    unpack(at, h.columns[column], h.count, values);
+    at += packed_bytes(h.count, h.columns[column].bits);
+  };
+  for (std::size_t axis = 0; axis < 3; ++axis) next(kX + axis, places_.of[axis]);
+  const auto each = [&](std::size_t column, const auto& put) {
+    next(column, values_);
+    for (std::size_t i = 0; i < to.size(); ++i) put(to[i], values_[i]);
+  };
+  each(kSource, [](SpillRecord& r, std::int64_t v) {
+    r.source_low = static_cast<std::uint32_t>(v);
+    r.source_high = static_cast<std::uint8_t>(v >> 32);
+  });
+  for (std::size_t c = 0; c < 3; ++c) each(kRed + c, [c](SpillRecord& r, std::int64_t v) { r.colour[c] = static_cast<std::uint16_t>(v); });
+  for (std::size_t c = 0; c < 2; ++c) each(kNormalU + c, [c](SpillRecord& r, std::int64_t v) { r.normal[c] = static_cast<std::int16_t>(v); });
+  next(kHasNormal, values_);
+  if (h.on_grid) quantise_places(h.scale, h.add, root);
+  cells_.resize(h.count);
+  local_.resize(h.count);
+  morton_codes(places_, {kLocalBits, kMaxLevel}, cells_);
+  morton_codes(places_, {0, kLocalBits}, local_);
+  for (std::size_t i = 0; i < to.size(); ++i) {
+    to[i].cells = cells_[i];
+    to[i].local_flags = local_[i] | (values_[i] ? SpillRecord::kHasNormal : 0);
+  }
+}
+
+void PageReader::quantise_places(const std::array<double, 3>& scale, const std::array<double, 3>& add, const RootCube& root) {
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    std::vector<std::int64_t>& places = places_.of[axis];
+    positions_.resize(places.size());
+    positions_of(places, {scale[axis], add[axis]}, positions_.data());
+    quantise(positions_, root, axis, places.data());
   }
 }
 
@@ -281,7 +307,6 @@ std::uint64_t spill_bytes_per_point(int axis_bits, std::uint64_t points, bool ha
 }
 
 void sort_by_key(std::vector<SpillRecord>& records, SortRoom& room) {
-  using Item = SortRoom::Item;
   const std::size_t n = records.size();
   if (n < 2) return;
   MortonKey low = records[0].key(), high = low;
@@ -289,36 +314,44 @@ void sort_by_key(std::vector<SpillRecord>& records, SortRoom& room) {
     low = std::min(low, r.key());
     high = std::max(high, r.key());
   }
-  // The 33 bits below the common prefix settle nearly every pair; the rest is sorted by the whole key.
+  // The 33 bits below the common prefix settle nearly every pair; the rest is sorted by the whole key. An item is those bits above the record's number.
   constexpr int kDigit = 11, kPasses = 3;
+  const int number_bits = std::bit_width(n - 1);
+  if (number_bits + kDigit * kPasses > 64) throw std::length_error("too many points to sort at once");
   const MortonKey differ = low ^ high;
   const auto differ_high = static_cast<std::uint64_t>(differ >> 64), differ_low = static_cast<std::uint64_t>(differ);
   const int top = differ_high != 0 ? 128 - std::countl_zero(differ_high) : 64 - std::countl_zero(differ_low);
   const int shift = std::max(0, top - kDigit * kPasses);
-  std::vector<Item>&items = room.items, &other = room.other;
+  std::vector<std::uint64_t>&items = room.items, &other = room.other;
   items.resize(n);
   other.resize(n);
   std::array<std::array<std::uint32_t, 1 << kDigit>, kPasses> counts{};
-  const auto digit = [](const Item& item, int pass) { return item.window >> (kDigit * pass) & ((1 << kDigit) - 1); };
   for (std::size_t i = 0; i < n; ++i) {
-    items[i] = {static_cast<std::uint64_t>(records[i].key() >> shift) & ((std::uint64_t{1} << (kDigit * kPasses)) - 1), static_cast<std::uint32_t>(i), 0};
-    for (int pass = 0; pass < kPasses; ++pass) ++counts[static_cast<std::size_t>(pass)][digit(items[i], pass)];
+    const std::uint64_t window = static_cast<std::uint64_t>(records[i].key() >> shift) & ((std::uint64_t{1} << (kDigit * kPasses)) - 1);
+    items[i] = window << number_bits | i;
+    for (int pass = 0; pass < kPasses; ++pass) ++counts[static_cast<std::size_t>(pass)][window >> (kDigit * pass) & ((1 << kDigit) - 1)];
   }
   for (int pass = 0; pass < kPasses; ++pass) {
     std::array<std::uint32_t, 1 << kDigit>& start = counts[static_cast<std::size_t>(pass)];
     if (std::any_of(start.begin(), start.end(), [&](std::uint32_t c) { return c == n; })) continue;
     std::uint32_t sum = 0;
     for (std::uint32_t& c : start) sum += std::exchange(c, sum);
-    for (const Item& item : items) other[start[digit(item, pass)]++] = item;
+    const int digit_at = number_bits + kDigit * pass;
+    for (const std::uint64_t item : items) other[start[item >> digit_at & ((1 << kDigit) - 1)]++] = item;
     items.swap(other);
   }
   std::vector<SpillRecord>& sorted = room.sorted;
   sorted.resize(n);
-  for (std::size_t i = 0; i < n; ++i) sorted[i] = records[items[i].index];
+  const std::uint64_t number = (std::uint64_t{1} << number_bits) - 1;
+  constexpr std::size_t kAhead = 16;   // records are fetched from all over
+  for (std::size_t i = 0; i < n; ++i) {
+    __builtin_prefetch(&records[items[std::min(n - 1, i + kAhead)] & number]);
+    sorted[i] = records[items[i] & number];
+  }
   for (std::size_t i = 0; i < n && shift > 0;) {
     std::size_t end = i + 1;
-    while (end < n && items[end].window == items[i].window) ++end;
-    sort_few(std::span(sorted).subspan(i, end - i));
+    while (end < n && (items[end] ^ items[i]) <= number) ++end;
+    if (end > i + 1) sort_few(std::span(sorted).subspan(i, end - i));
     i = end;
   }
   records.swap(sorted);

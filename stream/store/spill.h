@@ -7,6 +7,7 @@
 #include "stream/base/file.h"
 #include "stream/cloud/point_stream.h"
 #include "stream/store/count_grid.h"
+#include "stream/store/place_kernels.h"
 
 namespace chiaro::stream {
 
@@ -76,19 +77,27 @@ class SpillWriter {
 
 /// Finds the pages of a finished spill file of `end` bytes. throws Error if they are not those of the partitions.
 SpillPages find_pages(const File& file, std::uint64_t end, const std::vector<Partition>& partitions);
-/// Appends the points of a page. throws Error if it is damaged.
-void read_page(const File& file, const SpillPage& page, const RootCube& root, std::vector<SpillRecord>& records);
+/// Reads pages, one after the other through the same room. One object a thread.
+class PageReader {
+ public:
+  /// Appends the points of a page. throws Error if it is damaged.
+  void read(const File& file, const SpillPage& page, const RootCube& root, std::vector<SpillRecord>& records);
+
+ private:
+  void quantise_places(const std::array<double, 3>& scale, const std::array<double, 3>& add, const RootCube& root);
+  std::vector<std::byte> bytes_;
+  AxisColumns<std::int64_t> places_;
+  std::vector<std::int64_t> values_;
+  std::vector<double> positions_;
+  std::vector<std::uint64_t> cells_, local_;
+};
 
 /// Bytes that pages of many points need at most for each, headers aside: `axis_bits` of the three coordinates together.
 std::uint64_t spill_bytes_per_point(int axis_bits, std::uint64_t points, bool has_colour, bool colour_is_16_bit, bool has_normal);
 
-/// Room that sorting needs beside the records, 64 B each; kept from one call to the next, since fresh pages cost as much as the sorting.
+/// Room that sorting needs beside the records, 48 B each; kept from one call to the next, since fresh pages cost as much as the sorting.
 struct SortRoom {
-  struct Item {
-    std::uint64_t window;
-    std::uint32_t index, unused;
-  };
-  std::vector<Item> items, other;
+  std::vector<std::uint64_t> items, other;
   std::vector<SpillRecord> sorted;
 };
 /// Sorts by key; equal keys keep their order.

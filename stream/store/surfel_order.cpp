@@ -42,6 +42,16 @@ bool is_in_morton_order(const std::vector<SurfelBlock>& blocks, std::uint32_t co
   return true;
 }
 
+/// differences[i] of the surfels in the order of their slots; room for whole blocks.
+void compare_slots(const std::vector<SurfelBlock>& blocks, std::size_t used, std::uint16_t* differences) {
+  for (std::size_t k = 0; k < used; ++k) {
+    const SurfelBlock &b = blocks[k], &before = blocks[k > 0 ? k - 1 : 0];
+    std::uint16_t* const to = differences + 16 * k;
+    to[0] = static_cast<std::uint16_t>(k == 0 ? 0 : (b.x[0] ^ before.x[15]) | (b.y[0] ^ before.y[15]) | (b.z[0] ^ before.z[15]));
+    for (std::size_t i = 1; i < 16; ++i) to[i] = static_cast<std::uint16_t>((b.x[i] ^ b.x[i - 1]) | (b.y[i] ^ b.y[i - 1]) | (b.z[i] ^ b.z[i - 1]));
+  }
+}
+
 /// By the 48 bits above the lowest 16.
 void sort_by_code(std::vector<std::uint64_t>& items, std::vector<std::uint64_t>& other) {
   constexpr int kDigit = 12, kPasses = 4;
@@ -141,6 +151,10 @@ std::span<const std::uint16_t> MortonOrder::of(const std::vector<SurfelBlock>& b
   order_.resize(count);
   if (is_in_morton_order(blocks, count)) {
     std::iota(order_.begin(), order_.end(), std::uint16_t{0});
+    const std::size_t used = (count + 15) / 16;
+    differences_.resize(16 * used);
+    compare_slots(blocks, used, differences_.data());
+    differences_.resize(count);
     return order_;
   }
   items_.resize(count);
@@ -151,7 +165,18 @@ std::span<const std::uint16_t> MortonOrder::of(const std::vector<SurfelBlock>& b
   if (count < 2048) std::sort(items_.begin(), items_.end());
   else sort_by_code(items_, other_);
   for (std::uint32_t i = 0; i < count; ++i) order_[i] = static_cast<std::uint16_t>(items_[i]);
+  compare(blocks);
   return order_;
+}
+
+void MortonOrder::compare(const std::vector<SurfelBlock>& blocks) {
+  differences_.resize(order_.size());
+  StoredPosition last = position_of(blocks, order_[0]);
+  for (std::size_t i = 0; i < order_.size(); ++i) {
+    const StoredPosition p = position_of(blocks, order_[i]);
+    differences_[i] = static_cast<std::uint16_t>((p[0] ^ last[0]) | (p[1] ^ last[1]) | (p[2] ^ last[2]));
+    last = p;
+  }
 }
 
 }  // namespace chiaro::stream

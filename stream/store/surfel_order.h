@@ -33,10 +33,13 @@ class MortonOrder {
  public:
   /// Slots of the first `count` surfels in that order.
   std::span<const std::uint16_t> of(const std::vector<SurfelBlock>& blocks, std::uint32_t count);
+  /// For each in that order the bits in which any axis differs from the one before: two Morton codes part where the highest of these is. 0 for the first.
+  std::span<const std::uint16_t> differences() const { return differences_; }
 
  private:
+  void compare(const std::vector<SurfelBlock>& blocks);
   std::vector<std::uint64_t> items_, other_;  // 48 bits of code above 16 bits of slot
-  std::vector<std::uint16_t> order_;
+  std::vector<std::uint16_t> order_, differences_;
 };
 
 }  // namespace chiaro::stream

@@ -133,21 +133,25 @@ class Verifier {
       const Chunk chunk = store.read_chunk(i);
       const int bits = static_cast<int>(e.source_offset), shift = 3 * (kLocalBits - bits);
       VoxelCursor cursor(bits);
-      std::vector<std::uint32_t> group;
+      MortonOrder morton;
       for (std::uint32_t c = 0; c < e.num_children; ++c) {
         const Chunk child = store.read_chunk(e.first_child + c);
         const ChunkEntry& child_entry = store.chunks()[e.first_child + c];
-        cursor.next_child(child_entry, child.blocks, group);
-        for (std::uint32_t slot = 0; slot < child.count; ++slot) {
-          if (group[slot] >= e.count) throw Error(concat(where(store, i), ": ", e.count, " surfels, its children occupy more voxels"));
-          const SurfelBlock& b = child.blocks[slot / 16];
-          const SurfelBlock& p = chunk.blocks[group[slot] / 16];
-          const std::size_t lane = slot % 16, up = group[slot] % 16;
-          const std::uint64_t voxel = ((child_entry.morton & 7) << 48 | morton_encode(b.x[lane], b.y[lane], b.z[lane])) >> (3 * (17 - bits));
-          if (morton_encode(p.x[up], p.y[up], p.z[up]) >> shift != voxel) throw Error(concat(where(store, i), ", slot ", group[slot], ": does not lie in the voxel of its children"));
-        }
+        const std::span<const std::uint16_t> order = morton.of(child.blocks, child.count);
+        cursor.next_child(child_entry, child.blocks, order, morton.differences());
+        cursor.for_each_voxel([&](std::uint32_t number, std::span<const std::uint16_t> slots) {
+          if (number >= e.count) throw Error(concat(where(store, i), ": ", e.count, " surfels, its children occupy more voxels"));
+          const SurfelBlock& p = chunk.blocks[number / 16];
+          const std::size_t up = number % 16;
+          for (const std::uint16_t slot : slots) {
+            const SurfelBlock& b = child.blocks[slot / 16];
+            const std::size_t lane = slot % 16;
+            const std::uint64_t voxel = ((child_entry.morton & 7) << 48 | morton_encode(b.x[lane], b.y[lane], b.z[lane])) >> (3 * (17 - bits));
+            if (morton_encode(p.x[up], p.y[up], p.z[up]) >> shift != voxel) throw Error(concat(where(store, i), ", slot ", number, ": does not lie in the voxel of its children"));
+          }
+        });
       }
-      if (cursor.num_groups() != e.count) throw Error(concat(where(store, i), ": ", e.count, " surfels, its children occupy ", cursor.num_groups(), " voxels"));
+      if (cursor.num_voxels() != e.count) throw Error(concat(where(store, i), ": ", e.count, " surfels, its children occupy ", cursor.num_voxels(), " voxels"));
     });
   }
 

@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <array>
+#include <atomic>
 #include <cmath>
 
 #include "stream/base/budget.h"
@@ -107,6 +109,49 @@ TEST(Parallel, SumsTheSameBitsForAnyThreadCount) {
 
 TEST(Parallel, SurfacesExceptions) {
   EXPECT_THROW(parallel_blocks(100, 1, [](std::size_t b, std::size_t) { if (b == 57) throw Error("x"); }), Error);
+}
+
+TEST(Parallel, APipelineKeepsTheOrderAndItsSlots) {
+  for (const int threads : {1, 2, 5}) {
+    const ThreadLimit limit(threads);
+    constexpr std::size_t kSlots = 3, kItems = 500;
+    std::array<std::size_t, kSlots> item{}, made{};
+    std::array<bool, kSlots> taken{};
+    std::size_t next = 0;
+    std::vector<std::size_t> results;
+    ordered_pipeline(
+        kSlots,
+        [&](std::size_t slot) {
+          if (next == kItems) return false;
+          EXPECT_FALSE(taken[slot]);
+          taken[slot] = true;
+          item[slot] = next++;
+          return true;
+        },
+        [&](std::size_t slot) {
+          for (volatile std::size_t i = 0; i < (item[slot] % 7) * 300; ++i) {}   // some take longer
+          made[slot] = item[slot] * item[slot];
+        },
+        [&](std::size_t slot) {
+          results.push_back(made[slot]);
+          taken[slot] = false;
+        });
+    ASSERT_EQ(results.size(), kItems);
+    for (std::size_t i = 0; i < kItems; ++i) EXPECT_EQ(results[i], i * i);
+  }
+}
+
+TEST(Parallel, WhatGoesWrongInAPipelineSurfaces) {
+  for (const int where : {0, 1, 2}) {
+    std::atomic<std::size_t> next = 0;
+    const auto check = [&](int step) {
+      if (step == where && next == 40) throw Error("x");
+      return true;
+    };
+    EXPECT_THROW(ordered_pipeline(
+                     4, [&](std::size_t) { return ++next <= 40 && check(0); }, [&](std::size_t) { check(1); }, [&](std::size_t) { check(2); }),
+                 Error);
+  }
 }
 
 TEST(FolderLock, HoldsAFolderForOneAtATime) {
