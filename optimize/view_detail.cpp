@@ -1,6 +1,7 @@
 #include "optimize/view_detail.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "stream/base/error.h"
@@ -14,11 +15,12 @@ constexpr int kMostSamples = 4;            ///< a side, where the view is coarse
 constexpr float kDepthFootprints = 3;      ///< how far depths may lie apart
 constexpr float kFullWeightFromEdge = 8;   ///< pixels
 constexpr float kLeastEdge = 1;            ///< pixels
+constexpr float kCubicEdge = 2;              ///< pixels: nearer to an edge some of the sixteen show something else
 constexpr float kSigmaFloor = 0.1f;
 constexpr float kAgreement = 0.4f;         ///< log albedo
 constexpr float kFlashApart = 0.09f;       ///< rad: flashes further apart shade relief unlike
 constexpr float kLeastAlbedo = 1e-3f;
-constexpr float kPointsShare = 0.1f, kPointsSigma = 0.05f;   ///< the points take part like one more photograph, so that there is no seam where photographs end
+constexpr float kPointsShare = 0.03f, kPointsSigma = 0.05f;   ///< the points take part like one more photograph, so that there is no seam where photographs end
 
 /// Rows [y0, y0 + rows) of a photograph.
 struct PhotoRows {
@@ -70,6 +72,31 @@ struct Four {
   float least(const std::vector<float>& plane) const { return std::min({plane[first], plane[first + 1], plane[first + width], plane[first + width + 1]}); }
 };
 
+/// Shares of the four pixels from the one before a place on. source: Catmull and Rom 1974; Keys 1981, a = -1/2.
+std::array<float, 4> cubic_shares(float t) {
+  const float t2 = t * t, t3 = t2 * t;
+  return {-0.5f * t + t2 - 0.5f * t3, 1 - 2.5f * t2 + 1.5f * t3, 0.5f * t + 2 * t2 - 1.5f * t3, -0.5f * t2 + 0.5f * t3};
+}
+
+/// The sixteen pixels around a place.
+struct Sixteen {
+  std::size_t first, width;
+  std::array<float, 4> s, t;
+
+  static std::optional<Sixteen> around(const PhotoRows& photo, float u, float v) {
+    const auto x = static_cast<int>(u), y = static_cast<int>(v);
+    if (x < 1 || y - 1 < photo.y0 || x + 2 >= photo.width || y + 2 >= photo.y0 + photo.rows) return std::nullopt;
+    const auto width = static_cast<std::size_t>(photo.width);
+    return Sixteen{static_cast<std::size_t>(y - 1 - photo.y0) * width + static_cast<std::size_t>(x - 1), width, cubic_shares(u - static_cast<float>(x)), cubic_shares(v - static_cast<float>(y))};
+  }
+  float mean(const std::vector<float>& plane) const {
+    float sum = 0;
+    for (std::size_t j = 0; j < 4; ++j)
+      for (std::size_t i = 0; i < 4; ++i) sum += t[j] * s[i] * plane[first + j * width + i];
+    return sum;
+  }
+};
+
 /// Adds what the photograph shows at `at`, if that surface is there.
 void add_sample(const PhotoRows& photo, const Place& at, const Vec2f& shift_px, float radius, Sum& sum) {
   const auto surface = Four::around(photo, at.u, at.v), shown = Four::around(photo, at.u + shift_px.x(), at.v + shift_px.y());
@@ -77,7 +104,13 @@ void add_sample(const PhotoRows& photo, const Place& at, const Vec2f& shift_px, 
   const float footprint = photo.footprint[surface->first], edge = surface->least(photo.edge) - 0.5f * at.blur_px;
   if (!(footprint > 0) || footprint > radius || edge < kLeastEdge) return;
   if (std::fabs(surface->mean(photo.depth) - at.distance) > kDepthFootprints * footprint) return;
-  const Vec3f albedo(shown->mean(photo.r), shown->mean(photo.g), shown->mean(photo.b));
+  Vec3f albedo(shown->mean(photo.r), shown->mean(photo.g), shown->mean(photo.b));
+  if (edge >= kCubicEdge) {
+    if (const auto wider = Sixteen::around(photo, at.u + shift_px.x(), at.v + shift_px.y())) {
+      const Vec3f sharper(wider->mean(photo.r), wider->mean(photo.g), wider->mean(photo.b));
+      if (sharper.sum() >= 0) albedo = sharper;
+    }
+  }
   const float sigma = shown->mean(photo.sigma);
   if (!(albedo.sum() >= 0) || !(sigma >= 0)) return;   // NaN: no value at one of the four
   const float resolution = photo.cosv[surface->first] / footprint;

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 from PIL import Image
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import binary_erosion, convolve, gaussian_filter
 from scipy.spatial import cKDTree
 
 
@@ -65,6 +65,27 @@ def blurred_by_place(photograph, mask, widths):
     return (1 - share) * steps[low, pixel] + share * steps[low + 1, pixel]
 
 
+SECOND_DIFFERENCES = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]]) / 6   # of unit variance on white noise; 0 on planes
+
+
+def noise_variance(photograph, rendered, mask):
+    """Mean variance of the photograph's noise over the mask, as a function of brightness from where the rendered picture is smooth."""
+    inner = binary_erosion(mask, iterations=2)
+    total = 0.0
+    for c in range(3):
+        noise = np.abs(convolve(photograph[..., c], SECOND_DIFFERENCES))[inner]
+        relief = np.abs(convolve(rendered[..., c], SECOND_DIFFERENCES))[inner]
+        level = rendered[..., c][inner]
+        edges = np.quantile(level, np.linspace(0, 1, 13))
+        for low, high in zip(edges[:-1], edges[1:]):
+            some = (level >= low) & (level <= high) & (photograph[..., c][inner] < 1)
+            if some.sum() < 50:   # saturated: no noise is left there
+                continue
+            smooth = some & (relief <= np.median(relief[some]))
+            total += (np.median(noise[smooth]) / 0.6745) ** 2 * some.sum() / inner.sum() / 3
+    return total
+
+
 def measure(view, scene, rendered, direct, cloud):
     name, (width, height) = view["name"], view["size"]
     fx, fy, cx, cy = view["camera"]["params"]
@@ -98,7 +119,9 @@ def measure(view, scene, rendered, direct, cloud):
     clipped = np.clip(photograph, 0, 1)
     limit = psnr(blurred(clipped, mask, pixels), photograph)
     by_place = psnr(blurred_by_place(clipped, mask, spacing_of(positions, positions[index[:, 0]]) * fx / along_axis), photograph)
-    print(f"| {scene.name}/{name} | {psnr(ours, photograph):.1f} | {max(limits):.1f} | {max(albedo_only):.1f} | {pixels:.1f} | {limit:.1f} | {by_place:.1f} |")
+    noise = noise_variance(*(np.clip(exr(folder / f"{name}.exr"), 0, 1) for folder in (scene / "novel", rendered)), mask)
+    clean = 10 ** (-psnr(ours, photograph) / 10) - noise
+    print(f"| {scene.name}/{name} | {psnr(ours, photograph):.1f} | {max(limits):.1f} | {max(albedo_only):.1f} | {pixels:.1f} | {limit:.1f} | {by_place:.1f} | {-10 * np.log10(noise):.1f} | {-10 * np.log10(clean):.1f} |")
 
 
 def main():
@@ -106,7 +129,7 @@ def main():
         sys.exit(__doc__)
     scene, rendered, direct = map(Path, sys.argv[1:])
     cloud = read_cloud(scene)
-    print("| view | chiaro, PSNR dB | limit of the cloud | albedo only | spacing, pixels | blurred | by place |\n| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
+    print("| view | chiaro, PSNR dB | limit of the cloud | albedo only | spacing, pixels | blurred | by place | own noise | without it |\n| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
     for view in tomllib.loads((scene / "novel/views.toml").read_text())["view"]:
         measure(view, scene, rendered, direct, cloud)
 
