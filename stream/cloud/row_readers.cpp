@@ -74,6 +74,7 @@ class FixedRowReader : public PointReader {
   // Runs of points spread over the whole file, so that one dark corner does not decide.
   void sample_colours() {
     constexpr std::uint64_t kRuns = 64, kRunLength = 256;
+    for (std::uint64_t run = 0; run < kRuns; ++run) file_.will_need(rows_.offset + rows_.count / kRuns * run * decoder_.layout().row_bytes, kRunLength * decoder_.layout().row_bytes);
     for (std::uint64_t run = 0; run < kRuns; ++run) {
       const std::uint64_t first = rows_.count / kRuns * run;
       const std::uint64_t count = std::min<std::uint64_t>({kRunLength, rows_.count - first, piece_rows_});
