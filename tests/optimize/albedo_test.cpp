@@ -7,29 +7,22 @@
 
 #include "optimize/gloss_light.h"
 #include "optimize/proxy_file.h"
-#include "stream/base/file.h"
 #include "stream/base/parallel.h"
-#include "tests/optimize/picture.h"
+#include "tests/optimize/pictured_ground.h"
 
 namespace chiaro::optimize {
 namespace {
 
 using tests::even;
+using tests::kHeight;
+using tests::kWidth;
 
 constexpr double kPi = std::numbers::pi;
-constexpr int kWidth = 9, kHeight = 7, kX = 6, kY = 2;   // the pixel that is asked: beside the middle on both axes
+constexpr int kX = 6, kY = 2;   // the pixel that is asked: beside the middle on both axes
 
 /// The ground z = 0 before a camera that looks down and is turned about its axis; all that is gathered is even, so that every pixel's light is a closed form.
-struct Ground {
+struct Ground : tests::PicturedGround {
   Ground() {
-    scene.proxy.origin_in_world = Vec3d(3, -2, 0.5);
-    for (int i = 0; i < 21; ++i)
-      for (int k = 0; k < 21; ++k) {
-        scene.proxy.position.push_back((Vec3d(0.1 * (i - 10), 0.1 * (k - 10), 0) - scene.proxy.origin_in_world).cast<float>());
-        scene.proxy.normal.push_back(Vec3f::UnitZ());
-        scene.proxy.radius.push_back(0.06f);
-      }
-    scene.nearest = std::make_unique<NearestPoints>(scene.proxy.position);
     const std::size_t n = scene.proxy.size();
     for (std::size_t i = 0; i < n; ++i) {
       scene.transport.sky.insert(scene.transport.sky.end(), sky.begin(), sky.end());
@@ -37,48 +30,23 @@ struct Ground {
       gathered.insert(gathered.end(), g.begin(), g.end());
     }
     floor_flash.assign(n, k);
-
-    photo.camera.lens.width_px = kWidth;
-    photo.camera.lens.height_px = kHeight;
-    photo.camera.lens.fx = photo.camera.lens.fy = 14;
-    photo.camera.lens.cx = kWidth / 2.0;
-    photo.camera.lens.cy = kHeight / 2.0;
-    const Mat3d look_down = Vec3d(1, -1, -1).asDiagonal();
-    photo.camera.pose.rotation_camera_from_world = look_down * Eigen::AngleAxisd(0.7, Vec3d::UnitZ()).toRotationMatrix();
-    photo.camera.pose.translation_camera_from_world = -photo.camera.pose.rotation_camera_from_world * eye;
-    photo.radiance = folder.path() / "radiance.raster";
-    photo.gbuffer = folder.path() / "gbuffer.raster";
     lights.covariance = Eigen::MatrixXd::Zero(3, 3);
     lights.sky_terms = 1;
     lights.lights.flash_intensity = 4;
     lights.lights.sky[0] = 0.3;
-    for (const char* name : {"nx", "ny", "shadow", "spread"}) planes[name] = even(0);
-    for (const char* name : {"nz", "cosv", "coverage", "mask", "lit"}) planes[name] = even(1);
-    planes["radius"] = planes["footprint"] = even(0.05);
-    planes["edge"] = even(20);
     planes["flash"] = even(flash);
     planes["r"] = even(colour[0]);
     planes["g"] = even(colour[1]);
     planes["b"] = even(colour[2]);
-    planes["depth"] = [this](int x, int y) { return static_cast<float>(eye.z() / -to_pixel(x, y).z()); };
   }
 
-  /// Unit, world.
-  Vec3d to_pixel(int x, int y) const {
-    const stream::Lens& lens = photo.camera.lens;
-    return photo.camera.pose.rotation_camera_from_world.transpose() * Vec3d((x + 0.5 - lens.cx) / lens.fx, (y + 0.5 - lens.cy) / lens.fy, 1).normalized();
-  }
-  Vec3d place(int x = kX, int y = kY) const {
-    const Vec3d d = to_pixel(x, y);
-    return eye + d * (eye.z() / -d.z());
-  }
   Vec3d moved_flash() const { return flash_at + photo.camera.pose.rotation_camera_from_world.transpose() * inputs.pattern.flash_shift; }
 
   /// Of light l on the pixel: 1 / r^2 and the cosine beside the recorded place of the flash, and the flash's pattern.
   double flash_there() const {
-    const auto law = [&](const Vec3d& from) { return (from - place()).z() / std::pow((from - place()).norm(), 3); };
+    const auto law = [&](const Vec3d& from) { return (from - place(kX, kY)).z() / std::pow((from - place(kX, kY)).norm(), 3); };
     const Falloff& f = inputs.pattern.falloff;
-    const Vec3d along = photo.camera.pose.rotation_camera_from_world * (place() - moved_flash()).normalized();
+    const Vec3d along = photo.camera.pose.rotation_camera_from_world * (place(kX, kY) - moved_flash()).normalized();
     const double x = along.x() / f.flash_corner_sine, y = along.y() / f.flash_corner_sine, q = x * x + y * y;
     return flash * law(moved_flash()) / law(flash_at) * std::exp(f.flash[0] * x + f.flash[1] * y + f.flash[2] * q + f.flash[3] * q * q);
   }
@@ -100,15 +68,14 @@ struct Ground {
   double mean_light(const Lights& l) const { return (light(l, 0).all() + light(l, 1).all() + light(l, 2).all()) / 3; }
   /// What the lens leaves, and the brightness that is the photograph's own.
   double brightness() const {
-    const Vec3d along = photo.camera.pose.rotation_camera_from_world * (place() - eye).normalized();
-    const double corner = std::hypot(kWidth, kHeight) / 2 / 14, sine = corner / std::sqrt(1 + corner * corner), q = along.head<2>().squaredNorm() / (sine * sine);
+    const Vec3d along = photo.camera.pose.rotation_camera_from_world * (place(kX, kY) - eye).normalized();
+    const double corner = std::hypot(kWidth, photo.camera.lens.height_px) / 2 / 14, sine = corner / std::sqrt(1 + corner * corner), q = along.head<2>().squaredNorm() / (sine * sine);
     return inputs.own.exposure * std::exp(inputs.pattern.falloff.lens[0] * q + inputs.pattern.falloff.lens[1] * q * q);
   }
   double albedo(std::size_t c) const { return kPi * colour[c] / brightness() / light(lights.lights, c).all(); }
 
-  void solve(int height = kHeight) {
-    photo.camera.lens.height_px = height;
-    tests::write_picture(photo.radiance, photo.gbuffer, kWidth, height, planes);
+  void solve() {
+    write();
     inputs.gathered = folder.path() / "gathered.bin";
     inputs.floor_flash = folder.path() / "floor.bin";
     write_floats(gathered, inputs.gathered);
@@ -129,20 +96,16 @@ struct Ground {
     lights.covariance.setZero();
   }
 
-  const Vec3d eye{0.12, -0.07, 1.5}, flash_at{0.4, 0.2, 1.3};
+  const Vec3d flash_at{0.4, 0.2, 1.3};
   static constexpr double flash = 0.35, colour[3] = {0.21, 0.17, 0.11};
   static constexpr float k = 0.04f;
   const std::array<float, kSkyTerms> sky{2.9f, 0.3f, 1.1f, -0.2f, 0.05f, 0.12f, 0.4f, -0.3f, 0.2f}, hidden{0.7f, -0.1f, -0.3f, 0.1f, 0.02f, -0.06f, 0.1f, 0.03f, 0.05f};
   const std::array<float, 3> g{0.5f, 0.4f, 0.25f};
-  ScratchFolder folder;
-  Scene scene;
   std::vector<float> gathered, floor_flash;
-  ObserveInput photo;
   LightSolution lights;
   AlbedoInputs inputs;
   AlbedoOptions options;
   AlbedoStats stats;
-  std::map<std::string, tests::Plane> planes;
 };
 
 constexpr double kRelTol = 2e-6;   // float pixels and positions
@@ -218,7 +181,7 @@ TEST(Albedo, BelowACoatIsTheBodys) {
   Ground s;
   s.lights.lights.gloss = {true, 0.05, 0.3};
   s.lights.covariance = Eigen::MatrixXd::Zero(5, 5);
-  const CoatFactors f = coat_factors(s.lights.lights.gloss, gloss_angles(s.place().cast<float>(), Vec3f::UnitZ(), {s.eye.cast<float>(), s.flash_at.cast<float>()}));
+  const CoatFactors f = coat_factors(s.lights.lights.gloss, gloss_angles(s.place(kX, kY).cast<float>(), Vec3f::UnitZ(), {s.eye.cast<float>(), s.flash_at.cast<float>()}));
   s.solve();
   const char* names[] = {"r", "g", "b"};
   for (std::size_t c = 0; c < 3; ++c) {
@@ -275,7 +238,7 @@ TEST(AlbedoSigma, UnderACoatOneOfTheBodyAlone) {
   s.lights.lights.gloss = {true, 0.05, 0.3};
   s.lights.covariance = Eigen::MatrixXd::Zero(5, 5);
   s.photo.noise = {0, 3e-3};
-  const CoatFactors f = coat_factors(s.lights.lights.gloss, gloss_angles(s.place().cast<float>(), Vec3f::UnitZ(), {s.eye.cast<float>(), s.flash_at.cast<float>()}));
+  const CoatFactors f = coat_factors(s.lights.lights.gloss, gloss_angles(s.place(kX, kY).cast<float>(), Vec3f::UnitZ(), {s.eye.cast<float>(), s.flash_at.cast<float>()}));
   double noise = 0, body = 0, measured = 0, direct = 0;
   for (std::size_t c = 0; c < 3; ++c) {
     const Ground::Light e = s.light(s.lights.lights, c);
@@ -306,7 +269,7 @@ TEST(AlbedoSigma, HasTheCausesThatTheErrorModelNames) {
   s.planes["spread"] = even(0.4);
   with({0, 0, 0, 0.3, 0, true});
   expect_relative(s.value("sigma"), 0.3 * 0.4 * direct, "spread");
-  const Vec3d to_flash = s.flash_at - s.place();
+  const Vec3d to_flash = s.flash_at - s.place(kX, kY);
   with({0.03, 0, 0, 0, 0, true});
   EXPECT_EQ(s.value("sigma"), 0);
   expect_relative(s.value("shared"), 0.03 * direct * to_flash.head<2>().norm() / to_flash.z(), "normal");
@@ -333,7 +296,8 @@ TEST(AlbedoSigma, IsTheSameInEveryRowOfAPictureOfManyRows) {
   s.photo.camera.lens.cy = kRows / 2.0;
   s.photo.camera.lens.fx = s.photo.camera.lens.fy = 400;
   s.planes["g"] = [](int, int y) { return static_cast<float>(0.2 + (y % 2 ? 1e-3 : 0)); };
-  s.solve(kRows);
+  s.photo.camera.lens.height_px = kRows;
+  s.solve();
   for (int y = 1; y < kRows - 1; ++y) ASSERT_NEAR(s.value("sigma", kX, y), 0.3 * 1e-3 / (0.2 + (y % 2 ? 1e-3 : 0)), 1e-6) << y;
 }
 
@@ -341,7 +305,7 @@ TEST(AlbedoSigma, IsLargeBesideACastShadowAndAboveWhite) {
   Ground s;
   s.be_certain();
   s.planes["shadow"] = even(0.5);
-  const Vec3d to_flash = s.flash_at - s.place();
+  const Vec3d to_flash = s.flash_at - s.place(kX, kY);
   const double all = s.mean_light(s.lights.lights), direct = 4 * Ground::flash, lit = 4 * to_flash.z() / std::pow(to_flash.norm(), 3);
   expect_relative(s.solved("sigma"), 0.7 * 0.5 * std::max(direct, lit - direct) / all, "lit by as much as it receives");
   s.scene.proxy.metres_per_unit = 0.5;   // irradiance is per square metre: four times as much of an unshadowed flash
@@ -442,7 +406,7 @@ TEST(AlbedoShared, HoldsTheCoatsOwn) {
   s.lights.covariance = Eigen::MatrixXd::Zero(5, 5);   // flash, sky, reflectance, roughness, bounce
   for (const char* name : {"r", "g", "b"}) s.planes[name] = even(0.2);
   s.gathered.assign(s.gathered.size(), 0.4f);
-  const GlossAngles angles = gloss_angles(s.place().cast<float>(), Vec3f::UnitZ(), {s.eye.cast<float>(), s.flash_at.cast<float>()});
+  const GlossAngles angles = gloss_angles(s.place(kX, kY).cast<float>(), Vec3f::UnitZ(), {s.eye.cast<float>(), s.flash_at.cast<float>()});
   const double sky = static_cast<double>(s.sky[0]);
   const auto ln_albedo = [&](const std::array<double, 5>& by) {
     Gloss gloss = s.lights.lights.gloss;
@@ -471,7 +435,8 @@ TEST(Albedo, CountsWhatTheFlashHardlyReachesAndSaysTheMiddleOfItsDeviations) {
   s.be_certain();
   s.planes["flash"] = [](int x, int) { return x < 2 ? 0.01f : 0.5f; };
   s.options.errors.rest = 0.03;
-  s.solve(97);
+  s.photo.camera.lens.height_px = 97;
+  s.solve();
   EXPECT_EQ(s.stats.pixels_dark, static_cast<std::uint64_t>(2 * 97));
   EXPECT_NEAR(s.stats.median_sigma, std::hypot(0.03, 0.015), 1e-6);
 }
