@@ -117,8 +117,10 @@ TEST(ReadReference, IsTheMeanOverTheTargetsPixels) {
     EXPECT_NEAR(sample.sky[k], 0.7 * 0.5 * static_cast<double>(k + 1), 1e-5);
     EXPECT_NEAR(sample.hidden[k], 0.7 * 0.05 * static_cast<double>(k + 1), 1e-5);
   }
-  // Where it lies: the plane's point that the middle of the target shows, but for perspective within it.
-  const Vec3d middle = 0.25 * (s.place(24, 13) + s.place(25, 13) + s.place(24, 14) + s.place(25, 14));
+  // Where it lies: in the middle of the places that its pixels show.
+  Vec3d middle = Vec3d::Zero();
+  for (int y = 10; y < 18; ++y)
+    for (int x = 20; x < 30; ++x) middle += s.place(x, y) / 80;
   const Vec3d place = r->place.cast<double>() + s.scene.proxy.origin_in_world;
   EXPECT_NEAR((place - middle).norm(), 0, 1e-4);
   const Vec3d to_flash = s.photo.camera.pose.world_from_camera({0.2, -0.1, 0.05}) - middle;
@@ -161,6 +163,10 @@ TEST(ReadReference, CountsUsablePixelsInsideItsOutlineAlone) {
   EXPECT_NEAR(masked.read()->reference.sample.radiosity[1], 3.14159265 * 0.2, 1e-5);
   masked.planes["mask"] = tests::even(0);
   EXPECT_FALSE(masked.read());
+  Target between;   // corners inside pixels: those whose middles it holds count
+  between.target.polygon = {{20.6, 10.6}, {29.4, 10.6}, {29.4, 17.4}, {20.6, 17.4}};
+  for (const char* plane : {"r", "g", "b"}) between.planes[plane] = [](int x, int y) { return x >= 21 && x < 29 && y >= 11 && y < 17 ? 0.2f : 0.9f; };
+  EXPECT_NEAR(between.read()->reference.sample.radiosity[1], 3.14159265 * 0.2, 1e-5);
   masked.target.polygon = {{70, 10}, {80, 10}, {80, 20}};
   EXPECT_FALSE(masked.read()) << "beside the picture";
 }

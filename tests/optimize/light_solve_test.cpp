@@ -135,7 +135,7 @@ TEST(LightSolve, ATargetSaysLessWhereUnseenSurfacesLightItOrItsNormalIsUncertain
     for (std::size_t c = 0; c < 3; ++c) {
       reference.sample.gathered[c] = gathered;
       reference.albedo[c] = 0.5;
-      reference.sample.radiosity[c] = 0.5f * (12 + gathered);
+      reference.sample.radiosity[c] = 0.5f * (12 + static_cast<float>(options.bounce_mean) * gathered);
     }
     return std::sqrt(solve_lights(samples, {&reference, 1}, options, start(12, 0.2)).covariance(0, 0));
   };
@@ -144,6 +144,9 @@ TEST(LightSolve, ATargetSaysLessWhereUnseenSurfacesLightItOrItsNormalIsUncertain
   EXPECT_NEAR(sd(0, 1, 2, 0.001), expected(1, 4e-6), 3e-4);
   EXPECT_NEAR(sd(12, 0, 0, 0.01), expected(0.5, 2.25e-4), 1e-3);
   EXPECT_NEAR(sd(12, 0.4, 0, 0.01), expected(0.5, 2.25e-4 + 0.01), 1e-3);
+  // Of half as much gathered light, a third of all: half of 0.4 of it, and 3 % of it.
+  options.bounce_mean = 0.5;
+  EXPECT_NEAR(sd(12, 0.4, 0, 0.01), expected(2.0 / 3, std::pow(0.5 * 0.4 / 3, 2) + 1e-4), 1e-3);
 }
 
 // Lights far too dark make albedos above 1. With nothing else known they are pulled up until albedos are possible.
@@ -426,10 +429,16 @@ TEST(LightSolve, WhatIsWrongWithAllGatheredLightIsWrongWithTheFlash) {
   LightSolveOptions options;
   options.sky_terms = 0;
   options.bounce_sd = 0;
-  options.independent_residuals = 1e12;
   const LightSolution s = solve_lights(samples, {}, options, start(11, 0));
   EXPECT_NEAR(s.lights.flash_intensity, 12, 1e-3);
   EXPECT_NEAR(std::sqrt(s.covariance(0, 0)), 0.013, 1e-4);
+  // Where it does not prevail it is as good as what else there is.
+  for (LightSample& sample : samples)
+    if (sample.flash == 0) {
+      sample.flash = 0.3f;
+      sample.radiosity.fill(0.5f * (12 * 0.3f + 2));
+    }
+  EXPECT_LT(std::sqrt(solve_lights(samples, {}, options, start(11, 0)).covariance(0, 0)), 0.002);
 }
 
 // Twice the scatter of 10 %, of which 2 to 3 are expected: each residual is worth a quarter, and a quarter as many are independent.

@@ -95,7 +95,7 @@ TEST(Observe, VarianceIsThatOfTheMeanAndOfWhatAShiftOfTheCameraDoes) {
   EXPECT_NEAR(o.variance[i] / (noise + a.scatter * shift * shift / (a.mean * a.mean)), 1, 1e-3);
   // The lens's blur by its standard deviation, a quarter of the disc's diameter.
   s.photo.camera.focus = {0.02, 1.0};
-  const double blur = 0.02 * 60 * std::fabs(1 / 1.0 - 1 / 1.5), blurred = std::hypot(0.3, blur / 4) / kReach;
+  const double blur = 0.02 * 60 * std::fabs(1 / 1.0 - 1 / s.depth_along_axis(s.in_world(i))), blurred = std::hypot(0.3, blur / 4) / kReach;
   o = s.observed();
   EXPECT_NEAR(o.variance[i] / (noise + a.scatter * blurred * blurred / (a.mean * a.mean)), 1, 1e-3);
 }
@@ -140,6 +140,11 @@ TEST(Observe, GradientIsWhatNoiseDoesNotMake) {
   EXPECT_NEAR(s.observed().gradient[i], std::sqrt(0.005 * 0.005 - 6.2 * 1.44e-6) / value, 1e-5);
   s.photo.noise = {0, 0.1};
   EXPECT_EQ(s.observed().gradient[i], 0);
+  // A neighbour of no value says nothing: the other one does.
+  s.photo.noise = {};
+  s.planes["mask"] = [=](int x, int) { return x == static_cast<int>(at.x()) + 1 ? 3.0f : 1.0f; };
+  s.planes["g"] = [=](int x, int y) { return x == static_cast<int>(at.x()) + 1 ? 9.0f : static_cast<float>(0.2 + 0.004 * x - 0.003 * y); };
+  EXPECT_NEAR(s.observed().gradient[i], 0.005 / value, 1e-5);
 }
 
 TEST(Observe, TakesNoPixelOfAnotherSurfaceOrOfNoValue) {

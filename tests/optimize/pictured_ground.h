@@ -8,7 +8,7 @@ namespace chiaro::optimize::tests {
 
 inline constexpr int kWidth = 9, kHeight = 7;   ///< pixels, until a test says otherwise
 
-/// The ground z = 0 before a camera that looks down and is turned about its axis. The transport is empty.
+/// The ground z = 0 before a camera that looks down, a little aslant, and is turned about its axis. The transport is empty.
 struct PicturedGround {
   explicit PicturedGround(double focal_px = 14, int width = kWidth, int height = kHeight) {
     scene.proxy.origin_in_world = Vec3d(3, -2, 0.5);
@@ -26,7 +26,7 @@ struct PicturedGround {
     lens.cx = width / 2.0;
     lens.cy = height / 2.0;
     const Mat3d look_down = Vec3d(1, -1, -1).asDiagonal();
-    photo.camera.pose.rotation_camera_from_world = look_down * Eigen::AngleAxisd(0.7, Vec3d::UnitZ()).toRotationMatrix();
+    photo.camera.pose.rotation_camera_from_world = look_down * (Eigen::AngleAxisd(0.7, Vec3d::UnitZ()) * Eigen::AngleAxisd(0.1, Vec3d::UnitX())).toRotationMatrix();
     photo.camera.pose.translation_camera_from_world = -photo.camera.pose.rotation_camera_from_world * eye;
     photo.radiance = folder.path() / "radiance.raster";
     photo.gbuffer = folder.path() / "gbuffer.raster";
@@ -49,6 +49,7 @@ struct PicturedGround {
     const Vec3d d = to_pixel(x, y);
     return eye + d * (eye.z() / -d.z());
   }
+  double depth_along_axis(const Vec3d& p) const { return (photo.camera.pose.rotation_camera_from_world * (p - eye)).z(); }
   Vec3d in_world(std::size_t surfel) const { return scene.proxy.position[surfel].cast<double>() + scene.proxy.origin_in_world; }
   /// Pixel coordinates.
   Vec2d in_picture(std::size_t surfel) const {

@@ -140,6 +140,21 @@ TEST(Stencil, FollowsASlope) {
   }
 }
 
+// By hand: exp(-d^2 / (half of the farthest's)) in the plane, and exp(-(height / radius)^2 / 2) of what lies above or below it.
+TEST(Stencil, WeighsByDistanceAndByPlane) {
+  Proxy proxy;
+  add(proxy, {0.05f, 0, 0}, Vec3f::UnitZ());
+  add(proxy, {0, 0.1f, 0}, Vec3f::UnitZ());
+  add(proxy, {0, 0, 0.1f}, Vec3f::UnitZ());
+  const NearestPoints nearest(proxy.position);
+  const Stencil s = stencil_at(proxy, nearest, Vec3f::Zero(), Vec3f::UnitZ());
+  double weight[3] = {};
+  for (std::size_t j = 0; j < kStencil; ++j) weight[s.index[j]] += static_cast<double>(s.weight[j]);
+  EXPECT_NEAR(weight[0] / weight[1], std::exp((0.01 - 0.0025) / 0.005), 1e-3);
+  EXPECT_NEAR(weight[2] / weight[1], std::exp(-0.5 / (0.7 * 0.7)), 1e-4);
+  EXPECT_NEAR(weight[0] + weight[1] + weight[2], 1, 1e-6);
+}
+
 // Nothing near has a normal like that: the least unlike serves, and the nearest of those.
 TEST(Stencil, IsNeverEmpty) {
   Proxy proxy;
@@ -199,6 +214,14 @@ TEST(Radiosity, OfTwoThatFaceEachOtherIsTheirClosedForm) {
   EXPECT_NEAR(o.radiosity[4], rho[1] * (e[1] + b / 2 * 3), 1e-5);
   EXPECT_NEAR(g[0], 0.5 * rho[1] * (e[1] + b / 2 * 3), 1e-5);
   EXPECT_NEAR(g[3], 1.5, 1e-6);
+  // What a floor sends up of the flash lights the second as well.
+  o.floor_flash = {0, 0.5f};
+  lights.floor = true;
+  lights.floor_albedo = 0.4;
+  complete_radiosity(t, still, 4, lights, albedo, o, 30, 1e-8);
+  EXPECT_NEAR(o.radiosity[4], rho[1] * (e[1] + 0.4 * 0.5 + b / 2 * 3), 1e-5);
+  o.floor_flash.clear();
+  lights.floor = false;
   // What is gathered is smoothed.
   Smoother mean;
   mean.k = 2;
@@ -296,6 +319,27 @@ TEST(AlbedoMean, IsTheWeightedMeanOfLogarithmsUnderEachPhotographsLight) {
   EXPECT_EQ(albedo[6], albedo[0]) << "as the nearest that is seen";
   EXPECT_EQ(albedo[9], 0.98f);
   EXPECT_EQ(AlbedoMean(4).albedo({})[0], 0.3f) << "nobody saw anything";
+}
+
+TEST(AlbedoMean, BelowACoatIsTheBodys) {
+  const Proxy proxy = plane(2);
+  Transport t;
+  t.sky.assign(4 * kSkyTerms, 0.0f);
+  Lights lights;
+  lights.flash_intensity = 2;
+  lights.gloss = {true, 0.05, 0.3};
+  const Viewpoint from{Vec3f(0, 0, 1), Vec3f(0.1f, 0, 1)};
+  Observation o;
+  o.seen.assign(4, 1);
+  for (auto* v : {&o.spread, &o.variance, &o.noise, &o.gradient, &o.tan_flash}) v->assign(4, 0.0f);
+  o.flash.assign(4, 0.7f);
+  for (std::size_t i = 0; i < 4; ++i) {
+    const CoatFactors f = coat_factors(lights.gloss, gloss_angles(proxy.position[i], proxy.normal[i], from));
+    for (int c = 0; c < 3; ++c) o.radiosity.push_back(static_cast<float>((0.35 * f.direct + f.direct_mirrored) * 1.4));
+  }
+  AlbedoMean mean(4);
+  mean.add(t, o, std::vector<float>(12, 0.0f), lights, proxy, from);
+  for (const float a : mean.albedo({0, 1, 2, 3})) EXPECT_NEAR(a, 0.35, 1e-5);
 }
 
 TEST(NearestSeen, IsTheSurfelItselfOrTheNearestThatAPhotographShows) {
