@@ -211,6 +211,32 @@ TEST_F(Run, ComesToTheSameResultAfterAChangeAndBack) {
   EXPECT_THAT(differences(before, results("out")), testing::IsEmpty());
 }
 
+/// Whatever the lights depend on: with the rest as before they are not those of the run before.
+TEST_F(Run, SolvesTheLightsAgainAfterAnyChangeOfWhatTheyDependOn) {
+  scene({.photographs = 1, .reference = true});
+  std::vector<std::string> words{"--set", "solve.method=direct"};
+  const auto reused = [&] {
+    const ProcessResult ran = run("out", words);
+    EXPECT_EQ(ran.code, 0) << ran.err;
+    const auto record = json("out/run.json");
+    for (const auto& stage : record["stages"])
+      if (stage["name"] == "light/day1") return stage["reused"].get<bool>();
+    ADD_FAILURE() << "no such stage";
+    return true;
+  };
+  EXPECT_FALSE(reused());
+  EXPECT_TRUE(reused());
+  for (const auto& [from, to] : {std::pair{"intensity_range = [8.9", "intensity_range = [8.8"}, std::pair{"albedo = [", "albedo = [0.4, 0.4, 0.4]\n# ["}, std::pair{"sigma = 0.01", "sigma = 0.02"}, std::pair{"polygon = [[", "polygon = [[1, 1], ["}}) {
+    edit("scene/project.toml", from, to);
+    EXPECT_FALSE(reused()) << to;
+  }
+  for (const char* set : {"acquisition.ambient.model=uniform", "acquisition.falloff=none", "acquisition.ambient.floor=[0, 0, 1, -1.5]", "acquisition.ambient.floor=[0, 0, 1, -1.6]", "acquisition.ambient.floor=\"none\"", "run.seed=7", "project.unit=cm"}) {
+    words.insert(words.end(), {"--set", set});
+    EXPECT_FALSE(reused()) << set;
+  }
+  EXPECT_TRUE(reused());
+}
+
 TEST_F(Run, LeavesAFolderAloneInWhichAnotherRunIsAtWork) {
   scene({.photographs = 1});
   ASSERT_EQ(run("out").code, 0);
