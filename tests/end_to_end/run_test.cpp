@@ -230,7 +230,7 @@ TEST_F(Run, SolvesTheLightsAgainAfterAnyChangeOfWhatTheyDependOn) {
     edit("scene/project.toml", from, to);
     EXPECT_FALSE(reused()) << to;
   }
-  for (const char* set : {"acquisition.ambient.model=uniform", "acquisition.falloff=none", "acquisition.ambient.floor=[0, 0, 1, -1.5]", "acquisition.ambient.floor=[0, 0, 1, -1.6]", "acquisition.ambient.floor=\"none\"", "run.seed=7", "project.unit=cm"}) {
+  for (const char* set : {"acquisition.ambient.model=uniform", "acquisition.falloff=none", "acquisition.ambient.floor=[0, 0, 1, -1.5]", "acquisition.ambient.floor=[0, 0, 1, -1.6]", "acquisition.ambient.floor=auto", "acquisition.ambient.floor=none", "run.seed=7", "project.unit=cm"}) {
     words.insert(words.end(), {"--set", set});
     EXPECT_FALSE(reused()) << set;
   }
