@@ -17,7 +17,7 @@ namespace {
 using tests::even;
 
 constexpr double kPi = std::numbers::pi;
-constexpr double kFlash = 10, kSky = 0.5, kOpen = 2.6;   // W/sr, radiance, pi times the share of the sky that is seen
+constexpr double kFlash = 1, kSky = 0.05, kOpen = 2.6;   // W/sr, radiance, pi times the share of the sky that is seen
 constexpr int kSize = 80;
 
 /// What is true of one photograph beside the others.
@@ -214,6 +214,7 @@ TEST(LightProblem, AShutterThatTheProjectKnowsIsNoOtherLight) {
   taken[1].shutter = 2.5;
   taken[4] = {.shutter = 1.5, .flash = false};
   Shooting s(taken);
+  s.input.intensity_range = std::array<double, 2>{0.5 * kFlash, 2 * kFlash};   // the middle of their logarithms
   s.write();
   const auto f = s.solve();
   EXPECT_NEAR(f.solution.lights.flash_intensity / kFlash, 1, 0.01);
@@ -229,6 +230,8 @@ TEST(LightProblem, AStrangerTakesNoPart) {
   s.write();
   const auto f = s.solve();
   EXPECT_EQ(f.strangers, (std::vector<bool>{false, false, true, false, false}));
+  EXPECT_LT(f.errors.rest, 0.01) << "nor in how far the others disagree";
+  EXPECT_LT(f.errors.other_light, 0.03);
   EXPECT_NEAR(f.solution.lights.sky[0] / kSky, 1, 0.01);
   EXPECT_LE(s.albedo_error(f.albedo), 0.01);
 }
@@ -281,6 +284,9 @@ TEST(LightProblem, ATargetIsFreeOfWhatTheLensLoses) {
   const auto f = s.solve();
   ASSERT_TRUE(f.pattern.falloff.of_lens());
   EXPECT_NEAR(lens_factor(f.pattern.falloff, {1, 0}), 0.6, 0.03);
+  const double ambient_sd = std::sqrt(f.solution.covariance(1, 1)) / kSky;
+  EXPECT_LT(ambient_sd, 0.05) << "in its own unit";
+  EXPECT_LT(std::fabs(f.solution.covariance(0, 1)), std::sqrt(f.solution.covariance(0, 0) * f.solution.covariance(1, 1))) << "no more than certain";
   EXPECT_NEAR(f.solution.lights.flash_intensity / kFlash, 1, 0.015);
   EXPECT_NEAR(f.solution.lights.sky[0] / kSky, 1, 0.03);
   EXPECT_LE(s.albedo_error(f.albedo), 0.015);
