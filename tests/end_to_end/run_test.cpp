@@ -245,6 +245,28 @@ TEST_F(Run, SolvesTheLightsAgainAfterAnyChangeOfWhatTheyDependOn) {
   EXPECT_TRUE(reused());
 }
 
+TEST_F(Run, SolvesTheLightsAgainForAnotherShutterTime) {
+  scene({.photographs = 1});
+  fs::create_directory(at("scene/dark"));
+  fs::copy_file(at("scene/photos/photo_00.exr"), at("scene/dark/photo_00.exr"));
+  edit("scene/project.toml", "cameras = \"sparse\"\n", "cameras = \"sparse\"\nexposure_s = 0.1\n");
+  put_bytes(at("scene/project.toml"), file_bytes(at("scene/project.toml")) + "\n[[acquisition]]\nname = \"dark\"\nrole = \"no_flash\"\nphotographs = [\"dark/photo_*.exr\"]\nencoding = \"linear\"\ncameras = \"sparse\"\n"
+                                           "lights_of = \"day1\"\nexposure_s = 0.2\nnoise = { gain = 1e-5, read_sigma = 1e-4 }\n");
+  const auto reused = [&](std::vector<std::string> more) {
+    more.insert(more.end(), {"--set", "solve.method=direct"});
+    const ProcessResult ran = run("out", more);
+    EXPECT_EQ(ran.code, 0) << ran.err;
+    const auto record = json("out/run.json");
+    for (const auto& stage : record["stages"])
+      if (stage["name"] == "light/day1") return stage["reused"].get<bool>();
+    ADD_FAILURE() << "no such stage";
+    return true;
+  };
+  EXPECT_FALSE(reused({}));
+  EXPECT_TRUE(reused({}));
+  EXPECT_FALSE(reused({"--set", "acquisition.dark.exposure_s=0.4"}));
+}
+
 TEST_F(Run, LeavesAFolderAloneInWhichAnotherRunIsAtWork) {
   scene({.photographs = 1});
   ASSERT_EQ(run("out").code, 0);
