@@ -285,7 +285,7 @@ TEST(LightProblem, ATargetIsFreeOfWhatTheLensLoses) {
   ASSERT_TRUE(f.pattern.falloff.of_lens());
   EXPECT_NEAR(lens_factor(f.pattern.falloff, {1, 0}), 0.6, 0.03);
   const double ambient_sd = std::sqrt(f.solution.covariance(1, 1)) / kSky;
-  EXPECT_LT(ambient_sd, 0.05) << "in its own unit";
+  EXPECT_LT(ambient_sd, 0.03) << "in its own unit";
   EXPECT_LT(std::fabs(f.solution.covariance(0, 1)), std::sqrt(f.solution.covariance(0, 0) * f.solution.covariance(1, 1))) << "no more than certain";
   EXPECT_NEAR(f.solution.lights.flash_intensity / kFlash, 1, 0.015);
   EXPECT_NEAR(f.solution.lights.sky[0] / kSky, 1, 0.03);
