@@ -136,17 +136,18 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   if (terms >= 2) {
     Eigen::VectorXd j = Eigen::VectorXd::Zero(terms);
     j[0] = gloss.direct * sd + gloss.other * sf;
+    const double sky_scale = c.ambient_scale * (lights.sky_colour[0] + lights.sky_colour[1] + lights.sky_colour[2]) / 3;   // in the mean over the channels
     for (int k = 0; k < c.solution.sky_terms; ++k) {
       const auto at = static_cast<std::size_t>(k);
-      j[1 + k] = gloss.other * c.ambient_scale * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - lights.floor_albedo : 1.0) * static_cast<double>(s.hidden[at])) / total_mean;
+      j[1 + k] = gloss.other * sky_scale * (static_cast<double>(s.sky[at]) - (k == 0 ? 1 - lights.floor_albedo : 1.0) * static_cast<double>(s.hidden[at])) / total_mean;
     }
     int next = 1 + c.solution.sky_terms;
-    if (c.solution.sky_colour) {   // ln red and ln blue, in the mean over the channels
+    if (c.solution.sky_colour) {   // ln red and ln blue
       j[next++] = gloss.other * lights.sky_colour[0] * sky / (3 * total_mean);
       j[next++] = gloss.other * lights.sky_colour[2] * sky / (3 * total_mean);
     }
     if (lights.floor)
-      j[next++] = gloss.other * (lights.flash_intensity * static_cast<double>(s.floor_flash) + c.ambient_scale * lights.sky[0] * static_cast<double>(s.hidden[0])) / total_mean;
+      j[next++] = gloss.other * (lights.flash_intensity * static_cast<double>(s.floor_flash) + sky_scale * lights.sky[0] * static_cast<double>(s.hidden[0])) / total_mean;
     if (lights.gloss.on) {
       j[next++] = gloss.reflectance;
       j[next++] = gloss.roughness;

@@ -101,10 +101,14 @@ TEST_F(Layers, TwoMethodsLieBesideEachOtherAndEachIsReused) {
   EXPECT_TRUE(status["complete"].get<bool>());
   ASSERT_EQ(run("out").code, 0);
   EXPECT_THAT(differences(first, layer_files("albedo")), testing::IsEmpty());
-  for (const auto& stage : json("out/run.json")["stages"])
+  const auto record = json("out/run.json");
+  int asked = 0;
+  for (const auto& stage : record["stages"])
     if (stage["name"] == "blend") {
       EXPECT_TRUE(stage["reused"].get<bool>());
+      ++asked;
     }
+  EXPECT_EQ(asked, 1);
 }
 
 TEST_F(Layers, APhotographIsAddedToOneThatWasKept) {

@@ -121,10 +121,14 @@ TEST_F(RefinedRun, WithoutTheOptionTheyGoAndAnotherLayerHasItsOwn) {
   EXPECT_TRUE(fs::exists(at("out/store.chiaro/inserted/plain.chiaro/manifest.json")));
   // Nothing is done twice.
   ASSERT_EQ(run_on("out").code, 0);
-  for (const auto& stage : json("out/run.json")["stages"])
+  const auto record = json("out/run.json");
+  int asked = 0;
+  for (const auto& stage : record["stages"])
     if (stage["name"] == "refine") {
       EXPECT_TRUE(stage["reused"].get<bool>());
+      ++asked;
     }
+  EXPECT_EQ(asked, 1);
   ASSERT_EQ(run("out").code, 0);
   EXPECT_FALSE(fs::exists(at("out/store.chiaro/inserted/albedo.chiaro")));
   EXPECT_TRUE(fs::exists(at("out/store.chiaro/inserted/plain.chiaro/manifest.json")));

@@ -82,5 +82,40 @@ TEST(ErrorModel, WithoutOverlapTheUsualValuesStand) {
   EXPECT_EQ(none.normal_rad, usual.normal_rad);
 }
 
+TEST(ErrorModel, PhotographsWithoutFlashTakeNoPart) {
+  auto samples = make_samples({0, 0, 0, 0, 0.01, false}, two_lights(), 2000);
+  for (std::size_t i = 0; i < samples.size(); ++i)
+    if (i % 4 == 3) {
+      samples[i].flash_photograph = false;
+      for (float& b : samples[i].radiosity) b *= i % 8 == 3 ? 1.2f : 0.8f;
+    }
+  EXPECT_NEAR(estimate_errors(samples, two_lights()).rest, 0.01, 0.002);
+}
+
+// Highlights that are off by a fifth, as is said of them: no other cause has to stand for that.
+TEST(ErrorModel, HighlightsExplainWhatTheyAreOffBy) {
+  Lights lights = two_lights();
+  lights.gloss = {true, 0.04, 0.3};
+  std::vector<LightSample> samples;
+  for (std::size_t i = 0; i < 3000; ++i)
+    for (std::uint32_t k = 0; k < 4; ++k) {
+      const auto u = uniform01x4(5, Purpose::kTest, i, 20 + k);
+      LightSample s;
+      s.group = static_cast<std::uint32_t>(i);
+      s.photograph = k;
+      s.flash = 0.1f + u[0];
+      s.sky[0] = 3 * u[1];
+      s.noise = 1e-6f;
+      s.angles = {0.9f, 0.9f, 0.9f + 0.1f * u[2]};
+      const CoatFactors f = coat_factors(lights.gloss, s.angles);
+      const double direct = lights.flash_intensity * static_cast<double>(s.flash), other = static_cast<double>(s.sky[0]);
+      const double highlight = f.direct_mirrored * direct + f.other_mirrored * other, off = 0.2 * normal(10 * i + k, 30);
+      s.radiosity.fill(static_cast<float>(0.4 * (f.direct * direct + f.other * other) + highlight * (1 + off)));
+      samples.push_back(s);
+    }
+  EXPECT_LT(estimate_errors(samples, lights).rest, 0.02);
+  EXPECT_LT(estimate_errors(samples, lights).other_light, 0.05);
+}
+
 }  // namespace
 }  // namespace chiaro::optimize

@@ -110,5 +110,43 @@ TEST(Floor, IsTheSameForAnyThreadsAndFromDisk) {
   EXPECT_FALSE(read_floor(s.folder.path() / "floor.bin", s.proxy.size(), back));
 }
 
+TEST(Floor, StandsPointsBelowIt) {
+  auto points = chiaro::tests::sphere_points(5000, 0.5, {0, 0, 1}, false);
+  for (int i = 0; i < 3; ++i) points.push_back({Vec3d(0.1 * i, 0, -2), Vec3f::UnitZ()});   // outliers
+  const Lit s(points, 4);
+  const auto floor = find_floor(s.proxy, std::vector<Mat3d>{looking_along({1, 0, -0.3}, {0, 0, -1})});
+  ASSERT_TRUE(floor);
+  EXPECT_NEAR(static_cast<double>(floor->height) + s.proxy.origin_in_world.z(), 0.5, 0.01);
+}
+
+// Irradiance is per square metre: in units of half a metre a lamp at the same number of units is four times as bright.
+TEST(Floor, SendsBackTheFlashPerSquareMetre) {
+  Lit s(chiaro::tests::square_points(20, 0.2, {0, 0, 1}, {0, 0, -1}, 1), 64);
+  const auto at_middle = [&] { return flash_by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), {0, 0, 0.9})[middle_of(s.proxy)]; };
+  const float metres = at_middle();
+  s.proxy.metres_per_unit = 0.5;
+  EXPECT_NEAR(at_middle() / metres, 4, 1e-4);
+}
+
+// What is hidden are the rays of the transport, whatever their seed: half of what a wall sees is another wall, and of the rest the lower half the floor's.
+TEST(Floor, HidesTheRaysThatTheTransportCast) {
+  auto points = chiaro::tests::square_points(20, 1, {0, 0, 0.6}, {1, 0, 0}, 1);
+  const auto wall = chiaro::tests::square_points(20, 1, {0.4, 0, 0.6}, {-1, 0, 0}, 2);
+  points.insert(points.end(), wall.begin(), wall.end());
+  Lit s(points, 32);
+  s.transport = gather(s.proxy, *s.tracer, s.smoother, {32, 7, 0}, silent_reporter());
+  std::vector<float> expected(s.proxy.size() * kSkyTerms, 0.0f);
+  for (std::size_t i = 0; i < s.proxy.size(); ++i) {
+    const RayFan fan(s.proxy, 7, i);
+    for (std::size_t m = 0; m < 32; ++m) {
+      const Vec3f d = fan.direction(m);
+      if (s.transport.hits[32 * i + m] == Transport::kSky && d.z() < -1e-4f) expected[i * kSkyTerms] += 3.14159265f / 32;
+    }
+  }
+  s.smoother.apply(expected, kSkyTerms, kSmoothPasses);
+  const std::vector<float> hidden = hidden_by_floor(s.proxy, s.transport, s.smoother, ground(s.proxy));
+  for (std::size_t i = 0; i < s.proxy.size(); ++i) ASSERT_NEAR(hidden[i * kSkyTerms], expected[i * kSkyTerms], 1e-4) << i;
+}
+
 }  // namespace
 }  // namespace chiaro::optimize

@@ -225,5 +225,49 @@ TEST(Gloss, WhatIsSentOutDoesNotDependOnTheCamera) {
   }
 }
 
+// By hand, for three angles that differ.
+TEST(Gloss, FactorsAreThoseOfTheirAngles) {
+  const Gloss gloss{true, 0.05, 0.3};
+  const GlossAngles angles{0.6f, 0.8f, 0.95f};
+  const CoatFactors f = coat_factors(gloss, angles);
+  const double in = 1 - 0.3 * 0.16, out = 1 - 0.3 * 0.04;
+  EXPECT_NEAR(f.direct, in * out, 1e-6);
+  EXPECT_NEAR(f.other, 0.95 * out, 1e-6);
+  EXPECT_NEAR(f.direct_mirrored, 0.05 * gloss_lobe(0.3, angles), 1e-12);
+  EXPECT_NEAR(f.other_mirrored, 0.05 * (0.9 + 3 * 0.04), 1e-6);
+}
+
+// Of the flash the body sends out what it does to any side, and the coat what it does not let through.
+TEST(Gloss, WhatIsSentOutOfTheFlashIsBodyAndCoat) {
+  Proxy proxy;
+  proxy.position = {Vec3f::Zero(), Vec3f::Zero()};
+  proxy.normal = {Vec3f::UnitZ(), Vec3f::UnitZ()};
+  Transport transport;
+  transport.sky.assign(2 * kSkyTerms, 0.0f);
+  Lights lights;
+  lights.flash_intensity = 3;
+  lights.gloss = {true, 0.05, 0.3};
+  const Viewpoint from{Vec3f(1, 0, 2), Vec3f(2, 0, 1)};
+  const CoatFactors f = coat_factors(lights.gloss, gloss_angles(Vec3f::Zero(), Vec3f::UnitZ(), from));
+  Observation o;
+  o.seen = {1, 0};
+  for (auto* v : {&o.spread, &o.variance, &o.noise, &o.gradient, &o.tan_flash}) v->assign(2, 0.0f);
+  o.flash = {0.4f, 0.4f};
+  constexpr double kRho = 0.4, kLit = 1.2;
+  o.radiosity.assign(6, static_cast<float>((kRho * f.direct + f.direct_mirrored) * kLit));
+  const std::vector<float> measured = send_out(proxy, transport, from, std::vector<float>(6, 0.0f), lights, o);
+  const double flash = 1 / std::sqrt(5.0), camera = 2 / std::sqrt(5.0);
+  const double through_in = 1 - 0.3 * (1 - flash) * (1 - flash), through_out = 1 - 0.3 * (1 - camera) * (1 - camera);
+  // The body's albedo is below_coat / (direct E): what leaves it passes the coat by 0.95 on the mean instead of towards the camera.
+  const double body = kRho * through_in * through_out * kLit * 0.95 / through_out, coat = 0.05 * (0.9 + 3 * (1 - flash) * (1 - flash)) * kLit;
+  EXPECT_NEAR(o.radiosity[1], body + coat, 1e-5);
+  EXPECT_EQ(o.radiosity[4], measured[4]) << "nothing was seen there";
+}
+
+TEST(Gloss, ACoatHasToBeWorthItsTwoParameters) {
+  const auto samples = glossy_samples({}, 200, 0.01);
+  EXPECT_NEAR(gloss_criterion(samples, {}, some_lights(), some_lights()), 2 * std::log(independent_residuals(samples, {})), 1e-9);
+}
+
 }  // namespace
 }  // namespace chiaro::optimize

@@ -78,5 +78,49 @@ TEST(LightNotes, NameAFlashThatGivesNothing) {
   EXPECT_NE(notes[0].find("did it fire?"), std::string::npos) << notes[0];
 }
 
+TEST(LightNotes, SayHowLittleOnePhotographTells) {
+  LightSolution s = solution(8, 0.12);
+  s.lights.sky[0] = 0.5;
+  s.sky_terms = 1;
+  s.covariance(1, 1) = 0.01;   // 0.1 of 0.5
+  const auto notes = light_notes({}, std::vector<LightSample>{sample(1, 3, 1)}, s, "photo", true, true);
+  ASSERT_EQ(notes.size(), 1u);
+  EXPECT_NE(notes[0].find("flash known to 12 %, ambient light to 20 %"), std::string::npos) << notes[0];
+  EXPECT_TRUE(light_notes({}, std::vector<LightSample>{sample(1, 3, 1)}, s, "photo", false, true).empty());
+}
+
+TEST(LightNotes, SayWhereTheScaleIsOpen) {
+  LightSolution s = solution(8, 0.35);
+  s.scale_known = false;
+  const auto notes = light_notes({}, std::vector<LightSample>{sample(1, 3, 1)}, s, "photo", false, true);
+  ASSERT_EQ(notes.size(), 1u);
+  EXPECT_NE(notes[0].find("up to one factor (flash known to 35 %)"), std::string::npos) << notes[0];
+  const auto unlit = light_notes({}, std::vector<LightSample>{sample(0, 3, 1)}, s, "photo", false, false);
+  ASSERT_EQ(unlit.size(), 1u);
+  EXPECT_NE(unlit[0].find("the brightest surfaces reflect 80 %"), std::string::npos) << unlit[0];
+}
+
+// The flash of an acquisition gives a tenth at most: little, but it fired. Photographs without one do not count.
+TEST(LightNotes, AFaintFlashHasFired) {
+  LightSolution s = solution(7, 0.05);
+  s.lights.sky[0] = 21;   // of 3 each: 63
+  EXPECT_TRUE(light_notes({}, std::vector<LightSample>{sample(1, 3, 1)}, s, "photo", false, true).empty());
+  std::vector<LightSample> samples(99, sample(1, 0.1f, 1));
+  for (LightSample& dark : samples) dark.flash_photograph = false;
+  samples.push_back(sample(0.01f, 3, 1));
+  EXPECT_EQ(light_notes({}, samples, s, "photo", false, true).size(), 1u);
+}
+
+// 2.5 deviations are one run in eighty with a right range.
+TEST(LightNotes, ARangeIsDoubtedBeyondTwoAndAHalfDeviations) {
+  AcquisitionInput input;
+  input.intensity_range = kRange;
+  const double halved = 0.1 / std::sqrt(2.0);   // sd of the difference: sqrt(0.01 - 0.005)
+  const auto notes = [&](double deviations) { return light_notes(input, std::vector<LightSample>{sample(1, 3, 1)}, solution(std::exp(2 + deviations * halved), halved), "photo", false, true).size(); };
+  EXPECT_EQ(notes(2.4), 0u);
+  EXPECT_EQ(notes(2.6), 1u);
+  EXPECT_EQ(notes(-2.6), 1u);
+}
+
 }  // namespace
 }  // namespace chiaro::optimize

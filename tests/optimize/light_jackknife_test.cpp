@@ -68,6 +68,33 @@ TEST(LightJackknife, APhotographThatSaysOtherwiseShows) {
 
 TEST(LightJackknife, ManyPhotographsGoInEightLots) { EXPECT_LT(std::sqrt(by_photographs(samples_of(20, 0, 150)).value()), 0.02 * 0.3); }
 
+// (n - 1) / n of the squared deviations of what is found without each one, or without each lot of several.
+TEST(LightJackknife, IsTheDeleteOneFormula) {
+  for (const std::uint32_t photographs : {5u, 20u}) {
+    const std::vector<LightSample> samples = samples_of(photographs, 0.3, 200);
+    const std::uint32_t lots = std::min(8u, photographs);
+    ReferenceSample reference;
+    reference.sample = samples[0];
+    reference.sample.gathered.fill(0);
+    reference.albedo = {0.45, 0.45, 0.45};
+    const std::vector<ReferenceSample> references{reference};
+    const LightSolution all = solve_lights(samples, references, options(), truth());
+    std::vector<double> found;
+    for (std::uint32_t lot = 0; lot < lots; ++lot) {
+      std::vector<LightSample> left;
+      for (const LightSample& s : samples)
+        if (s.photograph % lots != lot) left.push_back(s);
+      found.push_back(solve_lights(left, references, options(), all.lights).lights.sky[0]);
+    }
+    double mean = 0, squares = 0;
+    for (const double v : found) mean += v / lots;
+    for (const double v : found) squares += (v - mean) * (v - mean);
+    const auto variance = ambient_variance_by_photographs(samples, references, options(), all);
+    ASSERT_TRUE(variance);
+    EXPECT_NEAR(*variance / (squares * (lots - 1) / lots), 1, 1e-9) << photographs;
+  }
+}
+
 TEST(LightJackknife, SaysNothingOfTwoPhotographsOrAFewSurfels) {
   EXPECT_FALSE(by_photographs(samples_of(2, 0.1)));
   EXPECT_FALSE(by_photographs(samples_of(5, 0.1, 50)));

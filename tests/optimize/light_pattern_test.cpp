@@ -191,6 +191,53 @@ TEST(LightPattern, WhatTheSamplesHoldAlreadyStays) {
   EXPECT_NEAR(lens_factor(found.falloff, {1, 0}), std::exp(-0.35) * 1.002, 0.01);
 }
 
+TEST(LightPattern, NobodyMisplacesAFlashByTwentyCentimetres) {
+  Wrong wrong;
+  wrong.shift = {0.15, -0.1, 0.1};
+  EXPECT_EQ(pattern_of(wrong).flash_shift.norm(), 0);
+}
+
+// A tenth where two hundredths are expected: what bends like the flash's light may be anything.
+TEST(LightPattern, WhereTheModelExplainsLittleNothingPassesForOne) {
+  Wrong wrong;
+  wrong.shift = {0.03, -0.02, 0.02};
+  wrong.noise = 0.15;
+  EXPECT_EQ(pattern_of(wrong).flash_shift.norm(), 0);
+  Wrong lens;
+  lens.lens_loss = 0.4;
+  lens.noise = 0.15;
+  EXPECT_TRUE(pattern_of(lens).falloff.none());
+}
+
+TEST(LightPattern, ALossOfTwoPerCentIsNone) {
+  Wrong wrong;
+  wrong.lens_loss = 0.02;
+  EXPECT_TRUE(pattern_of(wrong).falloff.none());
+}
+
+// Its deviation covers its error, and is no less than what noise of 1 % leaves after a few thousand readings.
+TEST(LightPattern, AFalloffSaysHowCertainItIs) {
+  Wrong lens;
+  lens.lens_loss = 0.3;
+  const FoundPattern found = find_light_pattern(samples_with(lens, lights()), lights(), {}, 2000);
+  const double sd = std::sqrt(falloff_variance(found.pattern.falloff, {1, 0}, {1, 0}));
+  EXPECT_GT(sd, 5e-4);
+  EXPECT_LT(sd, 0.05);
+  EXPECT_LE(std::fabs(std::log(lens_factor(found.pattern.falloff, {1, 0}) / 0.7)), 3 * sd + 0.02);   // by another formula than the program's
+  EXPECT_EQ(found.pattern.falloff.covariance(2, 2), 0);
+  EXPECT_GT(found.lights_covariance(0, 0), 0);
+  EXPECT_GT(found.lights_covariance(1, 1), 0);
+  Wrong flash;
+  flash.flash_loss = 0.4;
+  const Falloff of_flash = find_light_pattern(samples_with(flash, lights()), lights(), {}, 2000).pattern.falloff;
+  ASSERT_TRUE(of_flash.of_flash());
+  for (Eigen::Index k = 0; k < 4; ++k) {
+    EXPECT_GT(std::sqrt(of_flash.covariance(k, k)), 5e-4) << k;
+    EXPECT_LT(std::sqrt(of_flash.covariance(k, k)), 0.3) << k;
+  }
+  EXPECT_TRUE(find_light_pattern(samples_with({}, lights()), lights(), {}, 2000).lights_covariance.isZero());
+}
+
 TEST(LightPattern, OfNoSamplesThereIsNone) {
   const LightPattern found = pattern_in({}, lights());
   EXPECT_EQ(found.flash_shift.norm(), 0);

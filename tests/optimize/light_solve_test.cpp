@@ -135,7 +135,7 @@ TEST(LightSolve, ATargetSaysLessWhereUnseenSurfacesLightItOrItsNormalIsUncertain
     for (std::size_t c = 0; c < 3; ++c) {
       reference.sample.gathered[c] = gathered;
       reference.albedo[c] = 0.5;
-      reference.sample.radiosity[c] = 0.5f * (12 + gathered);
+      reference.sample.radiosity[c] = 0.5f * (12 + static_cast<float>(options.bounce_mean) * gathered);
     }
     return std::sqrt(solve_lights(samples, {&reference, 1}, options, start(12, 0.2)).covariance(0, 0));
   };
@@ -144,6 +144,9 @@ TEST(LightSolve, ATargetSaysLessWhereUnseenSurfacesLightItOrItsNormalIsUncertain
   EXPECT_NEAR(sd(0, 1, 2, 0.001), expected(1, 4e-6), 3e-4);
   EXPECT_NEAR(sd(12, 0, 0, 0.01), expected(0.5, 2.25e-4), 1e-3);
   EXPECT_NEAR(sd(12, 0.4, 0, 0.01), expected(0.5, 2.25e-4 + 0.01), 1e-3);
+  // Of half as much gathered light, a third of all: half of 0.4 of it, and 3 % of it.
+  options.bounce_mean = 0.5;
+  EXPECT_NEAR(sd(12, 0.4, 0, 0.01), expected(2.0 / 3, std::pow(0.5 * 0.4 / 3, 2) + 1e-4), 1e-3);
 }
 
 // Lights far too dark make albedos above 1. With nothing else known they are pulled up until albedos are possible.
@@ -340,6 +343,153 @@ TEST(LightSolve, FindsTheAlbedoOfAFloor) {
       EXPECT_LT(gain, std::log(independent_residuals(samples, plain)));
     }
   }
+}
+
+// No sample says anything: everything is where it was believed to be, and as certain.
+TEST(LightSolve, WhereNothingIsSaidThePriorsHold) {
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(7.0);
+  options.flash_ln_sd = 0.1;
+  options.sky_terms = 4;
+  options.sky_colour = options.floor = options.gloss = true;
+  options.bounce_mean = 1.02;
+  options.bounce_sd = 0.03;
+  Lights from = start(5, 0.2);
+  from.sky[1] = 0.1;
+  from.sky[5] = 0.3;   // no unknown
+  from.sky_colour = {2, 1, 0.7};
+  from.floor = true;
+  from.floor_albedo = 0.6;
+  from.gloss = {true, 0.06, 0.4};
+  from.bounce = 0.9;
+  const LightSolution s = solve_lights({}, {}, options, from);
+  EXPECT_TRUE(s.converged);
+  EXPECT_TRUE(s.scale_known);
+  EXPECT_NEAR(s.lights.flash_intensity, 7, 1e-4);
+  EXPECT_NEAR(s.lights.sky[1], 0, 1e-4);
+  EXPECT_EQ(s.lights.sky[5], 0);
+  EXPECT_NEAR(s.lights.sky_colour[0], 1, 1e-4);
+  EXPECT_NEAR(s.lights.sky_colour[2], 1, 1e-4);
+  EXPECT_NEAR(s.lights.floor_albedo, 0.3, 1e-4);
+  EXPECT_NEAR(s.lights.gloss.reflectance, 0.04, 1e-5);
+  EXPECT_NEAR(s.lights.gloss.roughness, 0.25, 1e-4);
+  EXPECT_NEAR(s.lights.bounce, 1.02, 1e-5);
+  const double sd[] = {0.1, 0, 0.2, 0.2, 0.2, 0.5, 0.5, 0.3, 0.2, 0.5, 0.03};   // flash, sky (its mean is free), colours, floor, coat, bounce
+  ASSERT_EQ(s.covariance.rows(), 11);
+  for (Eigen::Index k = 0; k < 11; ++k) {
+    if (k != 1) EXPECT_NEAR(std::sqrt(s.covariance(k, k)), sd[k], 1e-3 * sd[k]) << k;
+  }
+}
+
+TEST(LightSolve, WhatPriorsCostIsSaid) {
+  Truth truth;
+  LightSolveOptions options;
+  options.flash_ln_mean = std::log(13.0);
+  options.flash_ln_sd = 0.02;
+  options.bounce_sd = 0;
+  options.independent_residuals = 1e9;
+  const LightSolution s = solve_lights(make_samples(truth, 600), {}, options, start(12, 0.2));
+  const double off = std::log(s.lights.flash_intensity / 13) / 0.02;
+  EXPECT_LT(off, -2);
+  EXPECT_NEAR(s.outside_misfit, 0.5 * off * off, 1e-3);
+}
+
+TEST(LightSolve, AReferenceAloneMakesTheScaleKnown) {
+  Truth truth;
+  truth.gathered = 0;
+  ReferenceSample reference;
+  reference.sample.flash = 1;
+  for (std::size_t c = 0; c < 3; ++c) {
+    reference.albedo[c] = 0.5;
+    reference.sample.radiosity[c] = 6;
+  }
+  const LightSolution s = solve_lights(make_samples(truth, 400), {&reference, 1}, {}, start(14, 0.1));
+  EXPECT_TRUE(s.scale_known);
+  EXPECT_NEAR(s.lights.flash_intensity, 12, 0.01);
+  LightSolveOptions guessed;
+  guessed.ambient_guess = 0.3;
+  guessed.flash_ln_mean = std::log(12.0);
+  guessed.flash_ln_sd = 0.05;
+  EXPECT_FALSE(solve_lights(make_samples(truth, 400), {}, guessed, start(14, 0.1)).scale_known);
+}
+
+// A surface that only the flash lights beside one that only bounces light: the flash is known as well as the gathered light, 1.3 %, however many and however good they are.
+TEST(LightSolve, WhatIsWrongWithAllGatheredLightIsWrongWithTheFlash) {
+  std::vector<LightSample> samples;
+  for (std::uint32_t i = 0; i < 2000; ++i) {
+    LightSample lit, shaded;
+    lit.group = shaded.group = i;
+    lit.flash = 0.5f;
+    lit.radiosity.fill(0.5f * 12 * 0.5f);
+    shaded.gathered.fill(2);
+    shaded.radiosity.fill(1);
+    samples.push_back(lit);
+    samples.push_back(shaded);
+  }
+  LightSolveOptions options;
+  options.sky_terms = 0;
+  options.bounce_sd = 0;
+  const LightSolution s = solve_lights(samples, {}, options, start(11, 0));
+  EXPECT_NEAR(s.lights.flash_intensity, 12, 1e-3);
+  EXPECT_NEAR(std::sqrt(s.covariance(0, 0)), 0.013, 1e-4);
+  // Where it does not prevail it is as good as what else there is.
+  for (LightSample& sample : samples)
+    if (sample.flash == 0) {
+      sample.flash = 0.3f;
+      sample.radiosity.fill(0.5f * (12 * 0.3f + 2));
+    }
+  EXPECT_LT(std::sqrt(solve_lights(samples, {}, options, start(11, 0)).covariance(0, 0)), 0.002);
+}
+
+// Twice the scatter of 10 %, of which 2 to 3 are expected: each residual is worth a quarter, and a quarter as many are independent.
+TEST(LightSolve, ScatterCountsTwiceAgainstCertainty) {
+  const auto sd = [](double noise) {
+    Truth truth;
+    truth.noise = noise;
+    truth.gathered = 0;
+    LightSolveOptions options;
+    options.sky_terms = 1;
+    options.bounce_sd = 0;
+    options.flash_ln_mean = std::log(12.0);
+    options.flash_ln_sd = 1e-4;
+    const LightSolution s = solve_lights(make_samples(truth, 4000), {}, options, start(12, 0.2));
+    EXPECT_NEAR(s.scatter / noise, 1, 0.1);
+    return std::sqrt(s.covariance(1, 1));
+  };
+  EXPECT_NEAR(sd(0.2) / sd(0.1), 4, 0.8);
+}
+
+TEST(LightSolve, FloorAndCoatStayPossible) {
+  std::vector<LightSample> samples = make_samples({}, 800);
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    samples[i].hidden[0] = samples[i].group % 2 ? 0.5f * samples[i].sky[0] : 0.0f;
+    samples[i].floor_flash = samples[i].hidden[0] * 0.05f * uniform01(5, Purpose::kTest, i, 0);
+    Lights with = start(12, 0.2), without = with;
+    with.floor = true;
+    with.floor_albedo = 2.5;   // whiter than white
+    for (int c = 0; c < 3; ++c) samples[i].radiosity[static_cast<std::size_t>(c)] *= static_cast<float>(irradiance(with, samples[i], c) / irradiance(without, samples[i], c));
+  }
+  LightSolveOptions options;
+  options.bounce_sd = 0;
+  options.floor = true;
+  EXPECT_LE(solve_lights(samples, {}, options, start(12, 0.2)).lights.floor_albedo, 0.95);
+  LightSolveOptions coat;
+  coat.flash_ln_mean = std::log(7.0);
+  coat.flash_ln_sd = 0.1;
+  coat.gloss = true;
+  Lights from = start(5, 0.2);
+  from.gloss = {true, 0.5, 0.9};
+  coat.max_iterations = 1;
+  const Lights stepped = solve_lights({}, {}, coat, from).lights;
+  EXPECT_LE(stepped.gloss.reflectance, 0.08);
+  EXPECT_LE(stepped.gloss.roughness, 0.6);
+}
+
+TEST(LightSolve, ASkyThatIsNotSolvedForHasNoColour) {
+  Lights from = start(12, 0.2);
+  from.sky_colour = {2, 1, 0.5};
+  const LightSolution s = solve_lights(make_samples({}, 200), {}, {}, from);
+  EXPECT_EQ(s.lights.sky_colour, (std::array<double, 3>{1, 1, 1}));
 }
 
 TEST(LightSolve, SaysWhenThereIsNothingToSolveFrom) {

@@ -303,5 +303,35 @@ TEST(OwnLight, FortyPhotographsOfWhichEightDiffer) {
   expect_near(found, expected, 0.08);
 }
 
+TEST(OwnLight, ChangesTheAmbientLightOrAllThatIsShown) {
+  LightSample s;
+  s.flash = 0.5f;
+  s.floor_flash = 0.1f;
+  for (std::size_t k = 0; k < kSkyTerms; ++k) {
+    s.sky[k] = static_cast<float>(k + 1);
+    s.hidden[k] = 0.1f * static_cast<float>(k + 1);
+  }
+  s.radiosity = {1, 2, 3};
+  s.gathered = {0.4f, 0.6f, 0.8f};
+  change_own_light(s, 3, 2);
+  EXPECT_EQ(s.flash, 0.5f);
+  EXPECT_EQ(s.floor_flash, 0.1f);
+  for (std::size_t k = 0; k < kSkyTerms; ++k) {
+    EXPECT_FLOAT_EQ(s.sky[k], 3 * static_cast<float>(k + 1));
+    EXPECT_FLOAT_EQ(s.hidden[k], 0.3f * static_cast<float>(k + 1));
+  }
+  EXPECT_EQ(s.radiosity, (std::array<float, 3>{0.5f, 1, 1.5f}));
+  EXPECT_EQ(s.gathered, (std::array<float, 3>{0.2f, 0.3f, 0.4f}));
+}
+
+// Half of them under twice the ambient light: who is unlike whom?
+TEST(OwnLight, FewerThanHalfAreUnlikeTheOthers) {
+  std::vector<OwnLight> expected = kAlike;
+  for (const std::size_t k : {0, 2, 3}) expected[k] = own(2);
+  int unlike = 0;
+  for (const OwnLight& o : found_in(samples_of(expected), kAlike)) unlike += o.unlike || o.unlike_ambient;
+  EXPECT_LT(unlike, 3);
+}
+
 }  // namespace
 }  // namespace chiaro::optimize

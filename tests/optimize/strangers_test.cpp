@@ -76,5 +76,22 @@ TEST(Strangers, TwoPhotographsAreNotJudged) {
   EXPECT_EQ(strangers(samples, lights(), 2), std::vector<bool>(2, false));
 }
 
+TEST(Strangers, APhotographWithoutFlashIsNotJudged) {
+  std::vector<LightSample> samples = samples_of(kAlike);
+  replace_photograph(samples, 4, 0.4);
+  for (LightSample& s : samples)
+    if (s.photograph == 4) s.flash_photograph = false;
+  EXPECT_EQ(strangers(samples, lights(), kPhotographs), std::vector<bool>(kPhotographs, false));
+}
+
+// Of two photographs that disagree nobody knows which is right: surfels that two saw do not count.
+TEST(Strangers, WhatTwoPhotographsSawSaysNothing) {
+  std::vector<LightSample> all = samples_of(kAlike), samples;
+  for (std::size_t i = 0; i < all.size(); ++i)
+    if (i % 3 != 2) samples.push_back(all[i]);
+  replace_photograph(samples, 4, 0.4);
+  EXPECT_EQ(strangers(samples, lights(), kPhotographs), std::vector<bool>(kPhotographs, false));
+}
+
 }  // namespace
 }  // namespace chiaro::optimize

@@ -215,5 +215,74 @@ TEST(Adam, StartDecidesWhatOnePhotographCannot) {
   EXPECT_GT(high.state.flash_intensity, 6.8);
 }
 
+// Half of what the lower of two plates meets is the back of the upper one; that meets nothing.
+TEST(Gather, CountsRaysThatMeetASurfaceFromBehind) {
+  auto points = tests::square_points(60, 1.0, {0, 0, 0}, {0, 0, 1}, 1);
+  const auto upper = tests::square_points(60, 1.0, {0, 0, 1}, {0, 0, 1}, 2);
+  points.insert(points.end(), upper.begin(), upper.end());
+  EXPECT_NEAR(Lit(points, 64).transport.back_share, 0.5 * 0.19982, 0.005);
+}
+
+TEST(Gather, OtherRaysFollowFromAnotherSeedAndAreKnownByIt) {
+  const Lit s(tests::sphere_points(3000, 1.0, {0, 0, 0}, true), 16);
+  const Transport other = gather(s.proxy, *s.tracer, s.smoother, {16, 7, 0}, silent_reporter());
+  EXPECT_EQ(s.transport.seed, 1u);
+  EXPECT_EQ(other.seed, 7u);
+  EXPECT_NE(other.hits, s.transport.hits);
+  // A ray of the fan meets what lies in its direction: on a sphere, 2 (n . d) d away.
+  const RayFan fan(s.proxy, 7, 100);
+  for (std::size_t m = 0; m < 16; ++m) {
+    const Vec3f d = fan.direction(m), expected = s.proxy.position[100] + 2 * s.proxy.normal[100].dot(d) * d;
+    ASSERT_NE(other.hits[100 * 16 + m], Transport::kSky);
+    EXPECT_LE((s.proxy.position[other.hits[100 * 16 + m]] - expected).norm(), 0.12f) << m;
+  }
+  Transport written = other;
+  written.back_share = 0.25;
+  write_transport(written, s.folder.path() / "other.bin");
+  const Transport back = read_transport(s.folder.path() / "other.bin", s.proxy.size());
+  EXPECT_EQ(back.seed, 7u);
+  EXPECT_EQ(back.back_share, 0.25);
+}
+
+TEST(Gather, SmoothsTheSkyAsOftenAsAsked) {
+  const auto points = tests::square_points(30, 1.0, {0, 0, 0}, {0, 0, 1}, 1);
+  const Lit plain(points, 16), smooth(points, 16, 3);
+  std::vector<float> expected = plain.transport.sky;
+  plain.smoother.apply(expected, kSkyTerms, 3);
+  EXPECT_EQ(smooth.transport.sky, expected);
+}
+
+TEST(SkyBasis, IsTheOneOfItsHeader) {
+  const float x = 0.2f, y = -0.5f, z = 0.7f;
+  float terms[kSkyTerms];
+  sky_basis({x, y, z}, terms);
+  const float expected[] = {1, y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y};
+  for (int k = 0; k < kSkyTerms; ++k) EXPECT_EQ(terms[k], expected[k]) << k;
+}
+
+// Brighter than any albedo explains: the search ends at the range's upper end, flash and albedo at their bounds.
+TEST(Adam, StaysInTheCalibratedRangeAndBelowWhite) {
+  const Lit s(tests::sphere_points(1000, 1.0, {0, 0, 0}, false), 8);
+  const std::size_t n = s.proxy.size();
+  Observation o;
+  o.flash.resize(n);
+  o.seen.assign(n, 1);
+  o.radiosity.resize(3 * n);
+  for (std::size_t i = 0; i < n; ++i) {
+    o.flash[i] = 0.3f * std::max(0.0f, s.proxy.normal[i].z());
+    for (std::size_t c = 0; c < 3; ++c) o.radiosity[3 * i + c] = 40 * o.flash[i];
+  }
+  AdamOptions options;
+  options.search_iterations = 40;
+  const AdamResult r = solve_adam(s.transport, o, {5, 10}, options, silent_reporter());
+  EXPECT_LT(r.search_loss_high, 0.9 * r.search_loss_low);
+  EXPECT_GT(r.state.flash_intensity, 9.9);
+  EXPECT_LE(r.state.flash_intensity, 10);
+  for (const float a : r.state.albedo) {
+    ASSERT_GE(a, 0);
+    ASSERT_LE(a, 1);
+  }
+}
+
 }  // namespace
 }  // namespace chiaro::optimize

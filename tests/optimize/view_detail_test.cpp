@@ -35,6 +35,29 @@ class Sharpening : public testing::Test {
   }
   void TearDown() override { std::filesystem::remove_all(folder_); }
 
+  /// Of an even photograph: what its pixels are worth.
+  struct Worth {
+    float albedo = 0.4f, sigma = 0.02f, footprint = kDepth / kFocal, cosv = 1, edge = 20;
+    double aperture = 0, focus = 1;
+    float strength() const {
+      const float blur = aperture > 0 ? static_cast<float>(aperture * kFocal * std::fabs(1 / focus - 1 / static_cast<double>(kDepth))) : 0.0f;
+      return std::pow(cosv / footprint, 2.0f) / (1 + 0.75f * blur * blur) * std::min(1.0f, (edge - 0.5f * blur) / 8) / (sigma * sigma + 0.01f);
+    }
+  };
+  DetailPhotograph photograph(const std::string& name, const Worth& w) const {
+    DetailPhotograph p;
+    p.camera.photograph = name;
+    p.camera.lens = lens_of(kSize);
+    p.camera.focus = {w.aperture, w.focus};
+    p.albedo = folder_ / (name + "_albedo.raster");
+    p.gbuffer = folder_ / (name + "_gbuffer.raster");
+    write(p.albedo, {"r", "g", "b", "sigma"}, kSize, [&](const std::string& plane, int, int) { return plane == "sigma" ? w.sigma : w.albedo; });
+    write(p.gbuffer, {"depth", "footprint", "cosv", "edge"}, kSize, [&](const std::string& plane, int x, int y) { return plane == "depth" ? distance_at(x, y) : plane == "footprint" ? w.footprint : plane == "cosv" ? w.cosv : w.edge; });
+    return p;
+  }
+  /// Of the pixel in the middle.
+  Vec3f seen_by(const std::vector<DetailPhotograph>& photographs) const { return 0.4f * sharpening({lens_of(kSize), {}, {}}, rows_of(95, 10), photographs)[5 * kSize + 100]; }
+
   /// A photograph of the plane from the origin that shows `albedo(x, y)`; its depth is off by `off`.
   DetailPhotograph photograph(const std::string& name, const std::function<float(int, int)>& albedo, float off = 0, int size = kSize) const {
     DetailPhotograph p;
@@ -159,6 +182,50 @@ TEST_F(Sharpening, BelievesAPhotographOfLittleTrustLess) {
 TEST_F(Sharpening, RefusesRastersOfAnotherSize) {
   const std::vector<DetailPhotograph> photographs{photograph("a", stripes, 0, kSize / 2)};
   EXPECT_THROW(sharpening({lens_of(kSize), {}, {}}, rows_of(60, 70), photographs), Error);
+}
+
+// By hand: (cos / footprint)^2, in focus, away from edges, over sigma^2 + 0.1^2, by agreement with the points (0.4); beside them the points themselves with 0.1 / (0.02^2 (0.05^2 + 0.1^2)).
+TEST_F(Sharpening, WeighsPhotographsByWhatTheyAreWorth) {
+  const Worth plain{.albedo = 0.36f};
+  int number = 0;
+  for (const Worth& other : {Worth{.albedo = 0.44f}, Worth{.albedo = 0.44f, .sigma = 0.2f}, Worth{.albedo = 0.44f, .footprint = 0.01f}, Worth{.albedo = 0.44f, .cosv = 0.5f}, Worth{.albedo = 0.44f, .edge = 3}, Worth{.albedo = 0.44f, .aperture = 0.01}}) {
+    const std::string name = std::to_string(number++);
+    float weight = 0, sum = 0;
+    for (const Worth& w : {plain, other}) {
+      const float off = std::log(w.albedo / 0.4f) / 0.4f, doubt = 1 + off * off, strength = w.strength() / (doubt * doubt);
+      weight += strength;
+      sum += strength * w.albedo;
+    }
+    const float points = 0.1f / (kRadius * kRadius * 0.0125f);
+    EXPECT_NEAR(seen_by({photograph("plain" + name, plain), photograph("other" + name, other)}).x(), (sum + points * 0.4f) / (weight + points), 2e-4) << name;
+  }
+}
+
+TEST_F(Sharpening, TakesNothingFromPhotographsThatShowLessOrFromBesideEdges) {
+  const auto helps = [&](const char* name, const Worth& w) { return seen_by({photograph(name, w)}) != Vec3f(0.4f * Vec3f::Ones()); };
+  EXPECT_FALSE(helps("coarse", {.albedo = 0.36f, .footprint = 1.05f * kRadius}));
+  EXPECT_TRUE(helps("fine", {.albedo = 0.36f, .footprint = 0.95f * kRadius}));
+  EXPECT_FALSE(helps("edge", {.albedo = 0.36f, .edge = 0.9f}));
+  EXPECT_TRUE(helps("beside", {.albedo = 0.36f, .edge = 1.5f}));
+  EXPECT_FALSE(helps("blurred", {.albedo = 0.36f, .edge = 1.5f, .aperture = 0.01})) << "a disc of 2 px reaches one farther";
+}
+
+// Four by four of its pixels in one of the view count as one.
+TEST_F(Sharpening, AFinePhotographCountsNoMoreThanItIsWorth) {
+  const std::vector<DetailPhotograph> photographs{photograph("a", Worth{.albedo = 0.36f})};
+  ViewRows rows{20, 8, kSize / 4, std::vector<float>(8 * kSize / 4, 0.0f), std::vector<float>(8 * kSize / 4, kRadius), std::vector<Vec3f>(8 * kSize / 4, Vec3f::Constant(0.4f))};
+  for (int y = 0; y < 8; ++y)
+    for (int x = 0; x < kSize / 4; ++x) rows.depth[static_cast<std::size_t>(y * kSize / 4 + x)] = distance_at(4 * x + 1, 4 * (20 + y) + 1);
+  const float off = std::log(0.9f) / 0.4f, doubt = 1 + off * off, strength = Worth{}.strength() / (doubt * doubt), points = 0.1f / (kRadius * kRadius * 0.0125f);
+  EXPECT_NEAR(0.4f * sharpening({lens_of(kSize / 4), {}, {}}, rows, photographs)[static_cast<std::size_t>(3 * kSize / 4 + 25)].x(), (strength * 0.36f + points * 0.4f) / (strength + points), 2e-4);
+}
+
+TEST_F(Sharpening, CorrectsEachChannelByItsOwnGain) {
+  std::vector<DetailPhotograph> photographs{photograph("a", Worth{})};
+  photographs[0].gain = Vec3f(1.1f, 1, 0.9f);
+  const Vec3f seen = seen_by(photographs);
+  EXPECT_NEAR(seen.x() / seen.y(), 1.1, 0.01);
+  EXPECT_NEAR(seen.z() / seen.y(), 0.9, 0.01);
 }
 
 }  // namespace

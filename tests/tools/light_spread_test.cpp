@@ -3,8 +3,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <Eigen/Dense>
 #include <cmath>
 #include <nlohmann/json.hpp>
+#include <sstream>
 
 namespace chiaro::tools {
 namespace {
@@ -70,6 +72,42 @@ TEST(LightSpread, DrawsWhatItIsGivenAndNothingElse) {
       damaged[Json::json_pointer(path)] = value;
       EXPECT_THAT(light_spread_svg(damaged, Json{19.0, 23.0}), testing::Not(HasSubstr("nan"))) << path << ' ' << value;
     }
+}
+
+/// Points of the paths that are ellipses, in the picture's coordinates: the first is that of two deviations, the second of one.
+std::vector<std::vector<Eigen::Vector2d>> ellipses(const std::string& svg) {
+  std::vector<std::vector<Eigen::Vector2d>> all;
+  for (std::size_t at = svg.find("<path d=\"M"); at != std::string::npos; at = svg.find("<path d=\"M", at + 1)) {
+    std::string path = svg.substr(at + 10, svg.find('"', at + 10) - at - 10);
+    if (path.find(" Z") == std::string::npos) continue;
+    for (char& c : path)
+      if (c == 'L' || c == 'Z') c = ' ';
+    std::istringstream in(path);
+    std::vector<Eigen::Vector2d> points;
+    for (double x, y; in >> x >> y;) points.emplace_back(x, y);
+    all.push_back(points);
+  }
+  return all;
+}
+
+// Where the picture ends to the right is the flash's mean and three deviations, where it ends on top the ambient light's: by these the ellipses can be read.
+TEST(LightSpread, DrawsTheEllipsesOfTheCovariance) {
+  const Json light{{"flash_intensity", 20}, {"ambient", 0.2}, {"covariance_of", {"ln_flash_intensity", "sky_0", "bounce"}},
+                   {"covariance", {{0.0016, 0.0003, 0}, {0.0003, 0.0001, 0}, {0, 0, 0.01}}}};
+  const auto paths = ellipses(light_spread_svg(light, nullptr));
+  ASSERT_EQ(paths.size(), 2u);
+  Eigen::Matrix2d covariance;   // of flash and ambient light
+  covariance << 0.0016 * 400, 0.0003 * 20, 0.0003 * 20, 0.0001;
+  const double reach_flash = 3 * 0.8, reach_ambient = 3 * 0.01;
+  constexpr double kLeft = 64, kRight = 408, kTop = 12, kBottom = 216;
+  for (std::size_t p = 0; p < 2; ++p) {
+    const double deviations = p == 0 ? 2 : 1;
+    ASSERT_EQ(paths[p].size(), 72u);
+    for (const Eigen::Vector2d& at : paths[p]) {
+      const Eigen::Vector2d off((2 * (at.x() - kLeft) / (kRight - kLeft) - 1) * reach_flash, (2 * (kBottom - at.y()) / (kBottom - kTop) - 1) * reach_ambient);
+      ASSERT_NEAR(std::sqrt(off.dot(covariance.inverse() * off)), deviations, 0.01);
+    }
+  }
 }
 
 }  // namespace
