@@ -75,6 +75,27 @@ TEST_P(EveryCommand, NeedsItsWords) {
 
 INSTANTIATE_TEST_SUITE_P(Commands, EveryCommand, testing::ValuesIn(kCommands), [](const auto& i) { return std::string(i.param); });
 
+TEST_F(ExecutableTest, IngestSaysWhereSinglePrecisionHasLostTheShape) {
+  // A square metre, a point each 2 cm, at UTM coordinates: floats step by 0.25 there.
+  const auto far_cloud = [](const char* type) {
+    std::string text = std::string("ply\nformat ascii 1.0\nelement vertex 2500\nproperty ") + type + " x\nproperty " + type + " y\nproperty " + type + " z\nend_header\n";
+    for (int i = 0; i < 2500; ++i) text += std::to_string(500000 + 0.02 * (i % 50)) + " " + std::to_string(4000000 + 0.02 * (i / 50)) + " 10\n";
+    return text;
+  };
+  write("float.ply", far_cloud("float"));
+  write("double.ply", far_cloud("double"));
+  Ran ran = run("ingest float.ply --out float.chiaro");
+  EXPECT_EQ(ran.code, 0);
+  EXPECT_THAT(ran.err, HasSubstr("float.ply: its coordinates have single precision, which far from the origin means steps of 0.25 m"));
+  EXPECT_THAT(run("ingest float.ply --out float.chiaro").err, HasSubstr("steps of 0.25 m"));   // up to date, and no better
+  ran = run("ingest double.ply --out double.chiaro");
+  EXPECT_EQ(ran.code, 0);
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("single precision")));
+  ran = run("ingest double.ply float.ply --out both.chiaro");
+  EXPECT_THAT(ran.err, HasSubstr("note: float.ply: its coordinates"));
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("double.ply: its coordinates")));
+}
+
 TEST_F(ExecutableTest, ListsItsCommandsAndSuggests) {
   EXPECT_EQ(run("").code, 2);
   const Ran help = run("--help");
