@@ -1,6 +1,7 @@
 #include "tools/run_photographs.h"
 
 #include <algorithm>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "stream/base/error.h"
@@ -38,10 +39,36 @@ void require_photographs(const std::vector<Shoot>& shoots) {
     throw Error("no photograph is left to work with: see the notes above for what each one lacks");
 }
 
+/// Which photograph took which camera first. Acquisitions with flashes of their own may share cameras where nothing moved between them, as on a
+/// tripod; but a photograph that was never registered, of a name that another folder has too, takes the other's camera in the same way.
+class CamerasTaken {
+ public:
+  void take(const Acquisition& a, std::size_t lead, const stream::Camera& camera, const PhotographInput& photograph) {
+    const auto [first, is_new] = first_.try_emplace({a.cameras, camera.photograph}, Taker{lead, &photograph});
+    if (is_new || first->second.lead == lead) return;
+    if (++shared_ == 1) example_ = concat(first->second.photograph->file.string(), " and ", photograph.file.string(), " have one camera, \"", camera.photograph, "\" of ", a.cameras.string());
+  }
+  void tell(RunContext& run) const {
+    if (shared_ == 0) return;
+    run.note_both(concat(example_, shared_ > 1 ? concat(", and ", shared_ - 1, " more of the same names likewise") : std::string(),
+                         ": right if the camera stood still between the acquisitions. If not, one of them was not registered: leave it out, or give it another name"));
+  }
+
+ private:
+  struct Taker {
+    std::size_t lead;
+    const PhotographInput* photograph;
+  };
+  std::map<std::pair<std::filesystem::path, std::string>, Taker> first_;
+  std::size_t shared_ = 0;
+  std::string example_;
+};
+
 }  // namespace
 
 std::vector<Shoot> read_shoots(RunContext& run) {
   std::vector<Shoot> shoots;
+  CamerasTaken taken;
   for (const Acquisition& a : run.project.acquisitions) {
     Shoot shoot;
     shoot.acquisition = &a;
@@ -62,6 +89,7 @@ std::vector<Shoot> read_shoots(RunContext& run) {
         run.leave_out(p, concat("no camera in ", a.cameras.filename().string()));
         continue;
       }
+      taken.take(a, shoot.lead, *camera, p);
       Photo photo;
       photo.input = &p;
       photo.index_in_acquisition = i;
@@ -72,6 +100,7 @@ std::vector<Shoot> read_shoots(RunContext& run) {
     }
     shoots.push_back(std::move(shoot));
   }
+  taken.tell(run);
   require_photographs(shoots);
   return shoots;
 }

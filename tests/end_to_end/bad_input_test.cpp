@@ -284,6 +284,35 @@ TEST_F(BadInput, ScaledCopiesOfWhatTheCameraIsOfAreNotedOnce) {
   EXPECT_LE(error_of(s).absolute, 0.02);
 }
 
+TEST_F(BadInput, SinglePrecisionFarFromTheOriginIsNotedInTheRecordToo) {
+  const TinyScene s = scene();
+  std::string text = "ply\nformat ascii 1.0\nelement vertex " + std::to_string(s.positions.size()) + "\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+  for (const Vec3d& p : s.positions) text += std::to_string(p.x() + 500000) + " " + std::to_string(p.y() + 4000000) + " " + std::to_string(p.z()) + "\n";
+  put_bytes(s.folder / "cloud.ply", text);
+  for (int k = 0; k < 2; ++k) {   // a run that goes on, or is repeated, has it as well
+    (void)run("out", {"--set", "solve.method=direct"});
+    EXPECT_THAT(file_bytes(at("out/run.json")), HasSubstr("cloud.ply: its coordinates have single precision"));
+  }
+}
+
+TEST_F(BadInput, OneCameraForPhotographsOfTwoAcquisitionsIsNoted) {
+  TinySceneOptions options;
+  options.masks = false;
+  const TinyScene s = scene(options);
+  fs::create_directories(s.folder / "left");
+  fs::copy_file(s.folder / "photos/photo_02.exr", s.folder / "left/photo_00.exr");
+  fs::remove(s.folder / "photos/photo_02.exr");
+  put_bytes(s.project, file_bytes(s.project) + "\n[[acquisition]]\nname = \"left\"\nphotographs = [\"left/photo_*.exr\"]\ncameras = \"sparse\"\n[acquisition.flash]\noffset_in_camera = [0.25, -0.2, 0.02]\n");
+  ProcessResult ran = run("out", {"--set", "solve.method=direct"});
+  EXPECT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("left/photo_00.exr have one camera, \"photo_00.exr\" of "));
+  // A second shutter time, or none of the flash, is taken from where the first was.
+  edit("scene/project.toml", "name = \"left\"", "name = \"left\"\nrole = \"no_flash\"");
+  edit("scene/project.toml", "[acquisition.flash]\noffset_in_camera = [0.25, -0.2, 0.02]\n", "");
+  ran = run("out", {"--set", "solve.method=direct"});
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("have one camera")));
+}
+
 TEST_F(BadInput, ARangeThatHoldsTheTruthIsNotDoubted) {
   TinySceneOptions options;
   options.intensity_range = {7.5, 9.5};
