@@ -75,6 +75,22 @@ TEST_P(EveryCommand, NeedsItsWords) {
 
 INSTANTIATE_TEST_SUITE_P(Commands, EveryCommand, testing::ValuesIn(kCommands), [](const auto& i) { return std::string(i.param); });
 
+TEST_F(ExecutableTest, CompareSaysWherePointsAreNotTheSame) {
+  write("a.ply", cloud(500));
+  std::string text = cloud(500);
+  const std::size_t rows = text.find("end_header\n") + 11;
+  const std::size_t end_of_first = text.find('\n', rows) + 1;
+  write("b.ply", text.substr(0, rows) + text.substr(end_of_first) + text.substr(rows, end_of_first - rows));   // the first point at the end
+  Ran ran = run("compare a.ply b.ply");
+  EXPECT_EQ(ran.code, 0);
+  EXPECT_THAT(ran.err, HasSubstr("note: 500 of 500 points do not lie in the same place"));
+  EXPECT_THAT(run("compare a.ply b.ply --json").out, HasSubstr("\"elsewhere\":500"));
+  EXPECT_THAT(run("compare a.ply a.ply").err, testing::Not(HasSubstr("note")));
+  ran = run("compare a.ply b.ply --picture d.jpg");
+  EXPECT_EQ(ran.code, 2);
+  EXPECT_THAT(ran.err, HasSubstr("--picture d.jpg: expected FILE.png"));
+}
+
 TEST_F(ExecutableTest, IngestSaysWhereSinglePrecisionHasLostTheShape) {
   // A square metre, a point each 2 cm, at UTM coordinates: floats step by 0.25 there.
   const auto far_cloud = [](const char* type) {
