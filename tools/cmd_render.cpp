@@ -40,7 +40,7 @@ std::optional<RunLights> read_lights(const RunFolder& folder) {
       const Json* found = lights_in(a);
       if (!found) continue;
       RunLights r;
-      r.solved = static_cast<std::size_t>(std::count_if(lights["acquisitions"].begin(), lights["acquisitions"].end(), lights_in));
+      r.solved = static_cast<std::size_t>(std::count_if(lights["acquisitions"].begin(), lights["acquisitions"].end(), [&](const Json& other) { return lights_in(other) && !other.contains("lights_of"); }));
       r.acquisition = a.at("acquisition");
       r.lights.flash_intensity = found->at("flash_intensity");
       r.lights.sky = found->at("sky").get<std::array<double, optimize::kSkyTerms>>();

@@ -335,6 +335,10 @@ TEST_F(Run, NotesWhatAViewDoesNotShow) {
   ASSERT_EQ(run("out", {"--set", "solve.method=direct"}).code, 0);
   EXPECT_THAT(render().err, HasSubstr("lights of 2 acquisitions; views are shown in those of \"day1\""));
 
+  edit("scene/project.toml", "name = \"day2\"", "name = \"day2\"\nlights_of = \"day1\"");   // the same ones
+  ASSERT_EQ(run("out", {"--set", "solve.method=direct"}).code, 0);
+  EXPECT_THAT(render().err, testing::Not(HasSubstr("note")));
+
   put_bytes(at("out/work/progress"), "+ingest\n");   // as a run leaves it that was killed there
   const std::string views = file_bytes(s.folder / "novel/views.toml");
   const std::size_t shift = views.find("translation_camera_from_world");
