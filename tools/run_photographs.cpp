@@ -1,6 +1,7 @@
 #include "tools/run_photographs.h"
 
 #include <algorithm>
+#include <array>
 #include <map>
 #include <nlohmann/json.hpp>
 
@@ -32,6 +33,25 @@ stream::Encoding develop_encoding(Encoding e) {
     case Encoding::kRaw: return stream::Encoding::kRaw;
     default: return stream::Encoding::kLinear;
   }
+}
+
+/// A flash that is fixed to the camera turns with it; the axes of its offset are those of the stored pixels, which many programs turn upright.
+void note_turned(const Shoot& shoot, RunContext& run) {
+  const Acquisition& a = *shoot.acquisition;
+  if (run.project.method == SolveMethod::kNone || !shoot.has_flash() || a.flash->offset_in_camera.head<2>().norm() == 0) return;
+  std::array<std::size_t, 2> count{};
+  std::array<std::string, 2> first;
+  for (const Photo& photo : shoot.photos) {
+    const stream::Lens& lens = photo.camera.lens;
+    if (lens.width_px == lens.height_px) continue;
+    const std::size_t upright = lens.height_px > lens.width_px;
+    if (count[upright]++ == 0) first[upright] = photo.input->key;
+  }
+  if (count[0] == 0 || count[1] == 0) return;
+  const Vec3d& o = a.flash->offset_in_camera;
+  run.note_both(concat("acquisition \"", a.name, "\": ", count[1], " of its photographs stand upright (", first[1], count[1] > 1 ? ", \u2026" : "", "), ", count[0], " lie (", first[0], count[0] > 1 ? ", \u2026" : "",
+                       "), and offset_in_camera is taken in the pixels' axes of both. Where the flash turned with the camera, it is another one in pictures that were turned: give them an acquisition of their own with lights_of = \"",
+                       a.name, "\" and offset_in_camera = [", -o.y(), ", ", o.x(), ", ", o.z(), "] (turned clockwise) or [", o.y(), ", ", -o.x(), ", ", o.z(), "] (counter-clockwise)"));
 }
 
 void require_photographs(const std::vector<Shoot>& shoots) {
@@ -122,6 +142,7 @@ void PhotographStages::develop(Shoot& shoot) {
   }
   shoot.photos = std::move(kept);
   tell_development_notes();
+  note_turned(shoot, run_);
   require_photographs(shoots_);
 }
 

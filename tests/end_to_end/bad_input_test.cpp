@@ -295,6 +295,30 @@ TEST_F(BadInput, SinglePrecisionFarFromTheOriginIsNotedInTheRecordToo) {
   }
 }
 
+TEST_F(BadInput, UprightAndLyingPhotographsOfOneAcquisitionAreNoted) {
+  TinySceneOptions options;
+  options.masks = false;
+  const TinyScene s = scene(options);
+  EXPECT_THAT(run("out", {"--set", "solve.method=direct"}).err, testing::Not(HasSubstr("upright")));
+  // One is cropped to a part that stands: of that size, whatever it was turned from.
+  const fs::path file = s.folder / "photos/photo_02.exr";
+  const stream::Image image = stream::read_image(file);
+  const int width = 48, left = (image.width - width) / 2;
+  std::vector<float> part;
+  for (int y = 0; y < image.height; ++y)
+    for (int i = 3 * (y * image.width + left); i < 3 * (y * image.width + left + width); ++i) part.push_back(image.values[static_cast<std::size_t>(i)]);
+  stream::write_exr(file, width, image.height, {"R", "G", "B"}, part, false);
+  put_bytes(s.folder / "sparse/cameras.txt", file_bytes(s.folder / "sparse/cameras.txt") + "\n2 PINHOLE 48 72 110 110 24 36\n");
+  edit("scene/sparse/images.txt", "1 photo_02.exr", "2 photo_02.exr");
+  const ProcessResult ran = run("out", {"--set", "solve.method=direct"});
+  EXPECT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("1 of its photographs stand upright (photo_02), 2 lie (photo_00, "));
+  EXPECT_THAT(ran.err, HasSubstr("offset_in_camera = [0.2, 0.25, 0.02] (turned clockwise) or [-0.2, -0.25, 0.02]"));
+  // A flash around the lens has no side.
+  edit("scene/project.toml", "[0.25, -0.2, 0.02]", "[0, 0, 0.02]");
+  EXPECT_THAT(run("out", {"--set", "solve.method=direct"}).err, testing::Not(HasSubstr("upright")));
+}
+
 TEST_F(BadInput, OneCameraForPhotographsOfTwoAcquisitionsIsNoted) {
   TinySceneOptions options;
   options.masks = false;
