@@ -233,6 +233,21 @@ TEST_F(BadInput, APhotographOfAnotherObjectIsLeftOutAndNamed) {
   EXPECT_NEAR(lights()["ambient"].get<double>(), options.ambient_radiance, 0.02 * options.ambient_radiance);
 }
 
+TEST_F(BadInput, AnAlbedoThatNoSurfaceHasIsNoted) {
+  const TinyScene s = scene();
+  const std::vector<std::string> direct{"--set", "solve.method=direct"};
+  EXPECT_THAT(run("out", direct).err, testing::Not(HasSubstr("hardly that of any surface")));
+  edit("scene/project.toml", "[8.95, 9.05]", "[895, 905]");   // as of photographs in other numbers, or of lengths in another unit
+  for (int k = 0; k < 2; ++k) EXPECT_THAT(run("out", direct).err, HasSubstr("hardly that of any surface: nearly all of it is below 0.01"));
+  edit("scene/project.toml", "[895, 905]", "[3.55, 3.65]");
+  EXPECT_THAT(run("out", direct).err, HasSubstr("hardly that of any surface: half of it is above 1."));
+  edit("scene/project.toml", "[3.55, 3.65]", "[0.895, 0.905]");
+  const ProcessResult nothing = run("out", direct);   // beyond what is given a value
+  EXPECT_EQ(nothing.code, 1);
+  EXPECT_THAT(nothing.err, HasSubstr("acquisition \"day1\": 100 % of the pixels that the light reaches would reflect more than twice of it"));
+  EXPECT_EQ(run("out", {"--set", "solve.method=none"}).err.find("hardly"), std::string::npos);
+}
+
 TEST_F(BadInput, ARangeThatAReferenceContradictsIsNamed) {
   TinySceneOptions options;
   options.intensity_range = {10, 12};   // sd 4.6 % around 10.95; the truth is 9
