@@ -107,6 +107,10 @@ TEST_F(ExecutableTest, IngestSaysWhereSinglePrecisionHasLostTheShape) {
   ran = run("ingest double.ply --out double.chiaro");
   EXPECT_EQ(ran.code, 0);
   EXPECT_THAT(ran.err, testing::Not(HasSubstr("single precision")));
+  std::string stray = cloud(2500);
+  stray.replace(stray.find("end_header\n") + 11, 1, "1e9");   // of the first point, x
+  write("stray.ply", stray);
+  EXPECT_THAT(run("ingest stray.ply --out stray.chiaro").err, testing::Not(HasSubstr("single precision")));
   ran = run("ingest double.ply float.ply --out both.chiaro");
   EXPECT_THAT(ran.err, HasSubstr("note: float.ply: its coordinates"));
   EXPECT_THAT(ran.err, testing::Not(HasSubstr("double.ply: its coordinates")));
