@@ -184,6 +184,7 @@ void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
     else development_notes_[text].push_back(name);
   }
   if (info["pixels_used"] == 0) throw Error("no usable pixel: everything is masked, saturated or not finite");
+  if (!p.mask.empty()) pixels_left_by_mask_[p.key] = info["pixels_used"];
   photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
   const stream::Lens& lens = photo.camera.lens;
   const int width = info["width"], height = info["height"];
@@ -209,9 +210,14 @@ void PhotographStages::raycast(const stream::Store& store, Shoot& shoot) {
     photo.gbuffer_key = h.hex();
     const Json info = run_.task("raycast/" + photo.input->key, photo.gbuffer_key, {run_.folder.gbuffer(photo.input->key)}, [&] {
       const surfels::GBufferStats s = surfels::write_gbuffer(store, photo.camera, options, run_.folder.gbuffer(photo.input->key), run_.budget, run_.report);
-      return Json{{"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_from_behind", s.pixels_from_behind}, {"rays", s.rays}, {"shadow_rays", s.shadow_rays}, {"surfels", s.surfels},
+      return Json{{"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_hit_in_mask", s.pixels_hit_in_mask}, {"pixels_from_behind", s.pixels_from_behind}, {"rays", s.rays}, {"shadow_rays", s.shadow_rays}, {"surfels", s.surfels},
                   {"chunks", s.chunks}, {"chunks_hidden", s.chunks_hidden}, {"tiles", s.tiles}};
     });
+    if (const auto left = pixels_left_by_mask_.find(photo.input->key); left != pixels_left_by_mask_.end() && info.contains("pixels_hit_in_mask")) {
+      masked_.used += left->second;
+      masked_.on_cloud += info["pixels_hit"].get<std::uint64_t>();
+      masked_.used_on_cloud += info["pixels_hit_in_mask"].get<std::uint64_t>();
+    }
     if (info["pixels_hit"] == 0) {
       run_.leave_out(*photo.input, "it sees nothing of the cloud");
       continue;
@@ -224,6 +230,13 @@ void PhotographStages::raycast(const stream::Store& store, Shoot& shoot) {
   }
   shoot.photos = std::move(kept);
   require_photographs(shoots_);
+}
+
+void PhotographStages::note_masks() {
+  // A mask may well leave a small part of a large cloud, or some of what surrounds it, but hardly both.
+  if (2 * masked_.used_on_cloud >= masked_.used || 2 * masked_.used_on_cloud >= masked_.on_cloud) return;
+  run_.note_both(concat("the masks leave ", 100 * masked_.used_on_cloud / masked_.on_cloud, " % of what the photographs show of the cloud, and mostly pixels that do not show it: white is what is used. Are the masks the other way round, "
+                        "or cameras and cloud not in one frame?"));
 }
 
 void PhotographStages::note_backs() {

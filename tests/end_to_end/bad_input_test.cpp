@@ -334,6 +334,21 @@ TEST_F(BadInput, UprightAndLyingPhotographsOfOneAcquisitionAreNoted) {
   EXPECT_THAT(run("out", {"--set", "solve.method=direct"}).err, testing::Not(HasSubstr("upright")));
 }
 
+TEST_F(BadInput, MasksTheOtherWayRoundAreNoticed) {
+  const TinyScene s = scene();
+  const std::vector<std::string> direct{"--set", "solve.method=direct"};
+  EXPECT_THAT(run("out", direct).err, testing::Not(HasSubstr("the other way round")));
+  for (int k = 0; k < 3; ++k) {
+    const fs::path file = s.folder / "masks" / ("photo_0" + std::to_string(k) + ".png");
+    const stream::Image mask = stream::read_image(file);
+    std::vector<std::uint8_t> turned;
+    const std::size_t channels = mask.values.size() / (static_cast<std::size_t>(mask.width) * static_cast<std::size_t>(mask.height));
+    for (std::size_t i = 0; i < mask.values.size(); i += channels) turned.push_back(mask.values[i] > 0.5f ? 0 : 255);
+    stream::write_png_srgb8(file, mask.width, mask.height, turned, 1);
+  }
+  EXPECT_THAT(run("out", direct).err, HasSubstr("white is what is used. Are the masks the other way round"));
+}
+
 TEST_F(BadInput, OneCameraForPhotographsOfTwoAcquisitionsIsNoted) {
   TinySceneOptions options;
   options.masks = false;
