@@ -1,4 +1,5 @@
 /// chiaro ingest FILES… --out NAME.chiaro: point files to a store.
+#include <algorithm>
 #include <chrono>
 #include <nlohmann/json.hpp>
 #include <ostream>
@@ -26,6 +27,7 @@ std::vector<fs::path> find_files(const std::vector<std::string>& patterns) {
     for (const fs::path& file : found) {
       std::error_code code;
       if (!fs::is_regular_file(file, code)) throw Error(concat(file.string(), ": not a file"));
+      if (std::any_of(files.begin(), files.end(), [&](const fs::path& other) { return fs::equivalent(file, other, code); })) throw UsageError(concat(file.string(), ": is named twice, and its points would count twice"));
       files.push_back(file);
     }
   }

@@ -91,6 +91,13 @@ TEST_F(ExecutableTest, CompareSaysWherePointsAreNotTheSame) {
   EXPECT_THAT(ran.err, HasSubstr("--picture d.jpg: expected FILE.png"));
 }
 
+TEST_F(ExecutableTest, IngestRefusesAFileThatIsNamedTwice) {
+  write("cloud.ply", cloud(100));
+  const Ran ran = run("ingest cloud.ply './cl*.ply' --out s.chiaro");
+  EXPECT_EQ(ran.code, 2);
+  EXPECT_THAT(ran.err, HasSubstr("cloud.ply: is named twice"));
+}
+
 TEST_F(ExecutableTest, IngestSaysWhereSinglePrecisionHasLostTheShape) {
   // A square metre, a point each 2 cm, at UTM coordinates: floats step by 0.25 there.
   const auto far_cloud = [](const char* type) {
@@ -211,7 +218,7 @@ TEST_F(ExecutableTest, RepairsAStoreAndNamesWhatIsLost) {
   write("s.chiaro/geometry.bin", bytes);
   const Ran lost = run("verify s.chiaro --repair");
   EXPECT_EQ(lost.code, 1);
-  EXPECT_THAT(lost.out, testing::AllOf(HasSubstr("lost: s.chiaro/geometry.bin: chunk"), HasSubstr("points are lost"), HasSubstr("to do: "), HasSubstr("cloud.ply")));
+  EXPECT_THAT(lost.out, testing::AllOf(HasSubstr("lost: s.chiaro/geometry.bin: chunk"), HasSubstr("points are lost"), HasSubstr("to do: "), HasSubstr("cloud.ply"), HasSubstr("to do: remove s.chiaro before that")));
   EXPECT_EQ(read_text(scratch_.path() / "s.chiaro/geometry.bin"), bytes);
   const std::string out = run("verify s.chiaro --repair --json").out;
   const std::string result = out.substr(out.find("{\"event\":\"result\""));
