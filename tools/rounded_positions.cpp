@@ -57,6 +57,7 @@ std::vector<std::string> notes_on_rounded_positions(const stream::Store& store, 
   std::vector<std::string> notes;
   const Box3d& bounds = store.manifest().bounds;
   const double spacing = mean_spacing(store);
+  if (spacing == 0) return notes;   // one place alone
   if (std::max(largest_step(bounds.min), largest_step(bounds.max)) <= kSmallStep * spacing) return notes;
   const std::string& unit = store.manifest().unit;
   for (const std::filesystem::path& file : files)

@@ -118,6 +118,8 @@ TEST_F(ExecutableTest, IngestSaysWhereSinglePrecisionHasLostTheShape) {
   stray.replace(stray.find("end_header\n") + 11, 1, "1e9");   // of the first point, x
   write("stray.ply", stray);
   EXPECT_THAT(run("ingest stray.ply --out stray.chiaro").err, testing::Not(HasSubstr("single precision")));
+  write("one.xyz", "1 2 3\n");
+  EXPECT_THAT(run("ingest one.xyz --out one.chiaro").err, testing::Not(HasSubstr("single precision")));
   ran = run("ingest double.ply float.ply --out both.chiaro");
   EXPECT_THAT(ran.err, HasSubstr("note: float.ply: its coordinates"));
   EXPECT_THAT(ran.err, testing::Not(HasSubstr("double.ply: its coordinates")));
