@@ -264,8 +264,10 @@ class Caster {
         stats.rays += c.primary;
         stats.shadow_rays += c.shadow;
       }
-      for (const Pixel& p : pixels) {
+      for (std::size_t i = 0; i < pixels.size(); ++i) {
+        const Pixel& p = pixels[i];
         stats.pixels_hit += p.coverage > 0;
+        stats.pixels_hit_in_mask += p.coverage > 0 && (mask[i] & 1) != 0;
         stats.pixels_from_behind += p.coverage > 0 && p.back > 0.5f;
       }
       store_band(out_, pixels, band, shot.flash.has_value());

@@ -26,6 +26,7 @@ struct GBufferOptions {
 
 struct GBufferStats {
   std::uint64_t pixels = 0, pixels_hit = 0, rays = 0, shadow_rays = 0;
+  std::uint64_t pixels_hit_in_mask = 0;     ///< of pixels_hit: those that the mask leaves; all of them without one
   std::uint64_t pixels_from_behind = 0;     ///< of pixels_hit: at their middle they show surfels whose normal, of known sign, points away from the camera
   std::uint64_t surfels = 0, chunks = 0, chunks_hidden = 0;
   int tiles = 0;                            ///< parts the image was split into, by its surfels or the budget

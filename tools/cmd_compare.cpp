@@ -5,6 +5,7 @@
 
 #include "stream/base/error.h"
 #include "stream/base/parallel.h"
+#include "stream/base/text.h"
 #include "tools/args.h"
 #include "tools/colour_source.h"
 #include "tools/commands.h"
@@ -52,7 +53,7 @@ void print_images(const Words& words, const ImageComparison& r, Console& console
 void print_points(const Words& words, const PointComparison& r, Console& console) {
   if (console.json) {
     Json out{{"kind", "points"}, {"a", words.a}, {"b", words.b}, {"values", r.compared_values}, {"points", r.points}, {"compared", r.compared}, {"unseen_a", r.unseen_a},
-             {"unseen_b", r.unseen_b}, {"difference", json_of(r.difference)}, {"relative", json_of(r.relative)}, {"relative_error", number(r.relative.mean)}, {"rms", number(r.rms)},
+             {"unseen_b", r.unseen_b}, {"elsewhere", r.elsewhere}, {"difference", json_of(r.difference)}, {"relative", json_of(r.relative)}, {"relative_error", number(r.relative.mean)}, {"rms", number(r.rms)},
              {"bias", number(r.bias)}, {"scale", number(r.scale)}, {"relative_scaled", json_of(r.relative_scaled)}, {"delta_e", number(r.delta_e)}};
     if (!words.picture.empty()) out["picture"] = {{"file", words.picture}, {"range", number(r.picture_range)}};
     return console.result(out.dump(-1, ' ', false, Json::error_handler_t::replace));
@@ -71,6 +72,9 @@ void print_points(const Words& words, const PointComparison& r, Console& console
   more.row({"points", format_count(r.compared), concat("of ", format_count(r.points), "; unseen in A ", format_count(r.unseen_a), ", in B ", format_count(r.unseen_b))});
   if (!words.picture.empty()) more.row({"picture", words.picture, concat("full colour at relative differences of ", format_number(r.picture_range))});
   console.out() << more.text();
+  if (r.elsewhere)
+    console.report().note(concat(format_count(r.elsewhere), " of ", format_count(r.points), " points do not lie in the same place in A and B. Points match by their order: if one file was sorted, cropped or thinned, "
+                                 "these numbers compare different points"));
 }
 
 }  // namespace
@@ -98,6 +102,7 @@ int run_compare(std::span<const std::string> args, Console& console) {
   const bool points = names_points(words.a);
   if (points != names_points(words.b)) throw UsageError(concat("chiaro compare: ", words.a, " and ", words.b, ": one is a picture, the other a set of points"));
   if (points) {
+    if (!words.picture.empty() && lower_extension(words.picture) != ".png") throw UsageError(concat("chiaro compare: --picture ", words.picture, ": expected FILE.png"));
     for (const char* flag : {"--mask", "--srgb", "--as-stored", "--peak", "--clip"})
       if (parser.count(flag)) throw UsageError(concat("chiaro compare: ", flag, " is for pictures"));
     // JSON output is one line: programs read it as a whole.

@@ -1,4 +1,5 @@
 /// chiaro ingest FILES… --out NAME.chiaro: point files to a store.
+#include <algorithm>
 #include <chrono>
 #include <nlohmann/json.hpp>
 #include <ostream>
@@ -11,6 +12,7 @@
 #include "tools/commands.h"
 #include "tools/glob.h"
 #include "tools/resources.h"
+#include "tools/rounded_positions.h"
 #include "tools/table.h"
 
 namespace chiaro::tools {
@@ -25,6 +27,7 @@ std::vector<fs::path> find_files(const std::vector<std::string>& patterns) {
     for (const fs::path& file : found) {
       std::error_code code;
       if (!fs::is_regular_file(file, code)) throw Error(concat(file.string(), ": not a file"));
+      if (std::any_of(files.begin(), files.end(), [&](const fs::path& other) { return fs::equivalent(file, other, code); })) throw UsageError(concat(file.string(), ": is named twice, and its points would count twice"));
       files.push_back(file);
     }
   }
@@ -93,6 +96,7 @@ int run_ingest(std::span<const std::string> args, Console& console) {
   if (reused) remove_leftovers(out + ".part", out);
   MemoryBudget budget(budget_bytes(memory_bytes));
   const stream::Manifest manifest = reused ? stream::Store(out).manifest() : stream::build_store(files, out, options, budget, console.report());
+  for (const std::string& note : notes_on_rounded_positions(stream::Store(out), files, budget.free_bytes() / 2)) console.report().note(note);
   print(out, manifest, reused, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(), console);
   return manifest.points_rejected.empty() ? 0 : 3;
 }

@@ -52,6 +52,8 @@ int run_verify(std::span<const std::string> args, Console& console) {
     result.chunks += more.chunks;
     result.surfels += more.surfels;
   }
+  // Whether a store is up to date is seen by its key, which damage leaves as it was.
+  if (fixed.points_lost > 0) fixed.advice.push_back(concat("remove ", folder.string(), " before that: ingest and run take what is there for up to date"));
   console.clear_line();
   if (console.json) {
     nlohmann::ordered_json out{{"store", folder.string()}, {"chunks", result.chunks}, {"surfels", result.surfels}, {"problems", result.problems}};

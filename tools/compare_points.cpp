@@ -62,6 +62,7 @@ class Histogram {
 /// One point of both.
 struct Pair {
   Vec3d position = Vec3d::Constant(kNan);
+  double apart = kNan;   ///< distance of the point in A from that in B; NaN where one of them says nothing
   Vec3f a, b;
   bool is_seen() const { return a.allFinite() && b.allFinite(); }
 };
@@ -137,6 +138,7 @@ class Walk {
     pair.b = use_albedo_ ? blocks[1].albedo[j] : blocks[1].colour[j];
     if (!blocks[0].position.empty()) pair.position = blocks[0].position[i];
     else if (!blocks[1].position.empty()) pair.position = blocks[1].position[j];
+    if (!blocks[0].position.empty() && !blocks[1].position.empty()) pair.apart = (blocks[0].position[i] - blocks[1].position[j]).norm();
     return pair;
   }
   std::array<std::string, 2> names_;
@@ -231,6 +233,9 @@ PointComparison compare_points(const std::string& a, const std::string& b, const
     result.picture_range = round_range(result.relative.p95);
     drawing.emplace(sums.bounds, result.points, result.picture_range);
   }
+  // Points match by their order. Formats round positions by far less than this; in another order they lie anywhere.
+  constexpr double kElsewhere = 1e-3;   // of the extent
+  const double elsewhere = sums.bounds.empty() ? kNan : kElsewhere * (sums.bounds.max - sums.bounds.min).norm();
   constexpr std::size_t kRowsAtOnce = 1 << 14;
   std::vector<std::byte> rows;
   std::size_t num_rows = 0;
@@ -242,6 +247,7 @@ PointComparison compare_points(const std::string& a, const std::string& b, const
   Histogram scaled;
   report.begin("compare, one factor taken out", result.points, "points");
   walk.for_each(report, [&](const Pair& pair) {
+    if (pair.apart > elsewhere) ++result.elsewhere;
     if (pair.is_seen())
       if (const double r = relative_of(pair.a * static_cast<float>(result.scale), pair.b); std::isfinite(r)) scaled.add(r);
     if (drawing) drawing->add(pair.position, pair.is_seen() ? signed_of(pair.a, pair.b) : kNan);

@@ -17,6 +17,7 @@ struct PointComparison {
   std::uint64_t points = 0;         ///< of each
   std::uint64_t compared = 0;       ///< both finite
   std::uint64_t unseen_a = 0, unseen_b = 0;  ///< not finite in A, in B
+  std::uint64_t elsewhere = 0;      ///< points that lie in A and B farther apart than a thousandth of the extent: another order, or another frame
   std::string compared_values;      ///< "albedo" or "colour": what both have
   Distribution difference;          ///< |a - b|, mean of the channels, linear
   Distribution relative;            ///< |a - b| / b, mean of the channels with b > 0.001

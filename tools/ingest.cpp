@@ -4,6 +4,7 @@
 #include "stream/base/hash.h"
 #include "stream/cloud/filtered.h"
 #include "stream/cloud/point_stream.h"
+#include "tools/rounded_positions.h"
 
 namespace chiaro::tools {
 
@@ -55,9 +56,7 @@ std::string describe(const std::filesystem::path& file, const std::filesystem::p
                 " degrees, shift ", shift.x(), " ", shift.y(), " ", shift.z(), ", rms distance ", r.rms_distance, r.converged ? "" : ", NOT converged: check the scans");
 }
 
-}  // namespace
-
-IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, MemoryBudget& budget, Reporter& report) {
+IngestOutcome make_store(const IngestPlan& plan, const std::filesystem::path& store_path, MemoryBudget& budget, Reporter& report) {
   IngestOutcome outcome;
   if (!plan.remove_outliers && !plan.align) {
     outcome.store_key = stream::build_store(plan.files, store_path, plan.options, budget, report).key;
@@ -101,6 +100,17 @@ IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& 
     report.note(outcome.notes.back());
   }
   outcome.store_key = stream::build_store_from(input, store_path, plan.options, budget, report).key;
+  return outcome;
+}
+
+}  // namespace
+
+IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, MemoryBudget& budget, Reporter& report) {
+  IngestOutcome outcome = make_store(plan, store_path, budget, report);
+  for (std::string& note : notes_on_rounded_positions(stream::Store(store_path), plan.files, budget.free_bytes() / 2)) {
+    report.note(note);
+    outcome.notes.push_back(std::move(note));
+  }
   return outcome;
 }
 

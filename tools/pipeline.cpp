@@ -39,6 +39,7 @@ class Pipeline {
       photographs.raycast(store, shoot);
       if (run_.project.method == SolveMethod::kNone) take_colour(run_, shoot);
     }
+    photographs.note_masks();
     photographs.note_backs();
     if (run_.project.method != SolveMethod::kNone) {
       for (std::size_t i = 0; i < shoots_.size(); ++i)

@@ -237,7 +237,8 @@ Acquisition read_acquisition(const toml::table& table, std::size_t number, const
     photograph.stem = photograph.key = file.stem().string();
     const auto [earlier, is_new] = stems.emplace(photograph.stem, file);
     if (!is_new)
-      fail(photographs, concat("acquisition.photographs: ", earlier->second.filename().string(), " and ", file.filename().string(), " share the name \"", photograph.stem, "\""));
+      fail(photographs, concat("acquisition.photographs: ", earlier->second.lexically_relative(folder).string(), " and ", file.lexically_relative(folder).string(), " share the name \"", photograph.stem,
+                               "\", which names their results: rename one of them, or make each folder an acquisition of its own"));
     acquisition.photographs.push_back(std::move(photograph));
   }
   resolve_encoding(photographs.source(), acquisition);

@@ -243,6 +243,10 @@ ReportResult write_report(const RunFolder& folder, Reporter& report, const Repor
   require_finished_run(folder);
   ReportData data;
   data.status = read_status(folder);
+  if (const std::string note = note_on_unfinished(data.status); !note.empty()) {
+    data.notes.push_back(note);
+    report.note(note);
+  }
   data.project = read_json_object(folder.project());
   data.record = read_json_object(folder.record());
   data.lights = read_json_object(folder.lights());

@@ -1,6 +1,7 @@
 #include "tools/run_layer.h"
 
 #include <algorithm>
+#include <optional>
 #include <nlohmann/json.hpp>
 
 #include "blend/blend.h"
@@ -25,6 +26,24 @@ blend::Gain blend_gain(BlendGain g) {
     case BlendGain::kGrey: break;
   }
   return blend::Gain::kGrey;
+}
+
+struct AlbedoLevel {
+  double median = 0, high = 0;   ///< of the points' largest channel: in the middle, and what a twentieth is above
+};
+
+/// Of the root of the tree, whose surfels are means over all of the cloud. nullopt: nothing there is seen.
+std::optional<AlbedoLevel> albedo_level(const stream::Store& store, const std::string& layer) {
+  std::vector<float> values;
+  for (const Vec3f& albedo : stream::read_albedo(stream::Layer(store, layer), store, 0).albedo)
+    if (albedo.allFinite()) values.push_back(albedo.maxCoeff());
+  if (values.empty()) return std::nullopt;
+  const auto at = [&](double share) {
+    const auto place = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+    std::nth_element(values.begin(), place, values.end());
+    return static_cast<double>(*place);
+  };
+  return AlbedoLevel{at(0.5), at(0.95)};
 }
 
 class LayerStages {
@@ -71,6 +90,7 @@ class LayerStages {
     run_.record.set("blending", info.dump());
     record_cameras(info["photographs"]);
     record_layers(store);
+    note_implausible_level(store);
     options.keep.clear();
     inserted_key_ = refine_run_layer(run_, store, photographs, std::move(options), {layer_key_, info});
   }
@@ -126,6 +146,16 @@ class LayerStages {
     for (const Shoot& shoot : shoots_)
       if (std::any_of(shoot.photos.begin(), shoot.photos.end(), [](const Photo& p) { return !p.albedo_key.empty(); })) names.push_back(shoot.acquisition->name);
     return names;
+  }
+
+  /// A wrong unit, or a calibration in other numbers than the photographs', makes the albedo wrong by powers of ten, and photographs of one surface alone agree with that.
+  void note_implausible_level(const stream::Store& store) const {
+    constexpr double kSoot = 0.05, kBeyondWhite = 1.2;
+    if (run_.project.method == SolveMethod::kNone) return;
+    const std::optional<AlbedoLevel> level = albedo_level(store, run_.project.blend.layer);
+    if (!level || (level->high >= kSoot && level->median <= kBeyondWhite)) return;
+    run_.note_both(concat("the albedo is hardly that of any surface: ", level->high < kSoot ? concat("nearly all of it is below ", level->high) : concat("half of it is above ", level->median),
+                          ", where soot has 0.04 and snow 0.9. Are project.unit and the flash's intensity_range right, in the numbers of these photographs? A white surface that faces the flash from a distance of one metre has the pixel value intensity / pi"));
   }
 
   /// All results that the store holds now, this run's among them.

@@ -1,6 +1,8 @@
 #include "tools/run_photographs.h"
 
 #include <algorithm>
+#include <array>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "stream/base/error.h"
@@ -33,15 +35,60 @@ stream::Encoding develop_encoding(Encoding e) {
   }
 }
 
+/// A flash that is fixed to the camera turns with it; the axes of its offset are those of the stored pixels, which many programs turn upright.
+void note_turned(const Shoot& shoot, RunContext& run) {
+  const Acquisition& a = *shoot.acquisition;
+  if (run.project.method == SolveMethod::kNone || !shoot.has_flash() || a.flash->offset_in_camera.head<2>().norm() == 0) return;
+  std::array<std::size_t, 2> count{};
+  std::array<std::string, 2> first;
+  for (const Photo& photo : shoot.photos) {
+    const stream::Lens& lens = photo.camera.lens;
+    if (lens.width_px == lens.height_px) continue;
+    const std::size_t upright = lens.height_px > lens.width_px;
+    if (count[upright]++ == 0) first[upright] = photo.input->key;
+  }
+  if (count[0] == 0 || count[1] == 0) return;
+  const Vec3d& o = a.flash->offset_in_camera;
+  run.note_both(concat("acquisition \"", a.name, "\": ", count[1], " of its photographs stand upright (", first[1], count[1] > 1 ? ", \u2026" : "", "), ", count[0], " lie (", first[0], count[0] > 1 ? ", \u2026" : "",
+                       "), and offset_in_camera is taken in the pixels' axes of both. Where the flash turned with the camera, it is another one in pictures that were turned: give them an acquisition of their own with lights_of = \"",
+                       a.name, "\" and offset_in_camera = [", -o.y(), ", ", o.x(), ", ", o.z(), "] (turned clockwise) or [", o.y(), ", ", -o.x(), ", ", o.z(), "] (counter-clockwise)"));
+}
+
 void require_photographs(const std::vector<Shoot>& shoots) {
   if (std::all_of(shoots.begin(), shoots.end(), [](const Shoot& s) { return s.photos.empty(); }))
     throw Error("no photograph is left to work with: see the notes above for what each one lacks");
 }
 
+/// Which photograph took which camera first. Acquisitions with flashes of their own may share cameras where nothing moved between them, as on a
+/// tripod; but a photograph that was never registered, of a name that another folder has too, takes the other's camera in the same way.
+class CamerasTaken {
+ public:
+  void take(const Acquisition& a, std::size_t lead, const stream::Camera& camera, const PhotographInput& photograph) {
+    const auto [first, is_new] = first_.try_emplace({a.cameras, camera.photograph}, Taker{lead, &photograph});
+    if (is_new || first->second.lead == lead) return;
+    if (++shared_ == 1) example_ = concat(first->second.photograph->file.string(), " and ", photograph.file.string(), " have one camera, \"", camera.photograph, "\" of ", a.cameras.string());
+  }
+  void tell(RunContext& run) const {
+    if (shared_ == 0) return;
+    run.note_both(concat(example_, shared_ > 1 ? concat(", and ", shared_ - 1, " more of the same names likewise") : std::string(),
+                         ": right if the camera stood still between the acquisitions. If not, one of them was not registered: leave it out, or give it another name"));
+  }
+
+ private:
+  struct Taker {
+    std::size_t lead;
+    const PhotographInput* photograph;
+  };
+  std::map<std::pair<std::filesystem::path, std::string>, Taker> first_;
+  std::size_t shared_ = 0;
+  std::string example_;
+};
+
 }  // namespace
 
 std::vector<Shoot> read_shoots(RunContext& run) {
   std::vector<Shoot> shoots;
+  CamerasTaken taken;
   for (const Acquisition& a : run.project.acquisitions) {
     Shoot shoot;
     shoot.acquisition = &a;
@@ -62,6 +109,7 @@ std::vector<Shoot> read_shoots(RunContext& run) {
         run.leave_out(p, concat("no camera in ", a.cameras.filename().string()));
         continue;
       }
+      taken.take(a, shoot.lead, *camera, p);
       Photo photo;
       photo.input = &p;
       photo.index_in_acquisition = i;
@@ -72,6 +120,7 @@ std::vector<Shoot> read_shoots(RunContext& run) {
     }
     shoots.push_back(std::move(shoot));
   }
+  taken.tell(run);
   require_photographs(shoots);
   return shoots;
 }
@@ -93,6 +142,7 @@ void PhotographStages::develop(Shoot& shoot) {
   }
   shoot.photos = std::move(kept);
   tell_development_notes();
+  note_turned(shoot, run_);
   require_photographs(shoots_);
 }
 
@@ -134,6 +184,7 @@ void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
     else development_notes_[text].push_back(name);
   }
   if (info["pixels_used"] == 0) throw Error("no usable pixel: everything is masked, saturated or not finite");
+  if (!p.mask.empty()) pixels_left_by_mask_[p.key] = info["pixels_used"];
   photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
   const stream::Lens& lens = photo.camera.lens;
   const int width = info["width"], height = info["height"];
@@ -159,9 +210,14 @@ void PhotographStages::raycast(const stream::Store& store, Shoot& shoot) {
     photo.gbuffer_key = h.hex();
     const Json info = run_.task("raycast/" + photo.input->key, photo.gbuffer_key, {run_.folder.gbuffer(photo.input->key)}, [&] {
       const surfels::GBufferStats s = surfels::write_gbuffer(store, photo.camera, options, run_.folder.gbuffer(photo.input->key), run_.budget, run_.report);
-      return Json{{"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_from_behind", s.pixels_from_behind}, {"rays", s.rays}, {"shadow_rays", s.shadow_rays}, {"surfels", s.surfels},
+      return Json{{"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_hit_in_mask", s.pixels_hit_in_mask}, {"pixels_from_behind", s.pixels_from_behind}, {"rays", s.rays}, {"shadow_rays", s.shadow_rays}, {"surfels", s.surfels},
                   {"chunks", s.chunks}, {"chunks_hidden", s.chunks_hidden}, {"tiles", s.tiles}};
     });
+    if (const auto left = pixels_left_by_mask_.find(photo.input->key); left != pixels_left_by_mask_.end() && info.contains("pixels_hit_in_mask")) {
+      masked_.used += left->second;
+      masked_.on_cloud += info["pixels_hit"].get<std::uint64_t>();
+      masked_.used_on_cloud += info["pixels_hit_in_mask"].get<std::uint64_t>();
+    }
     if (info["pixels_hit"] == 0) {
       run_.leave_out(*photo.input, "it sees nothing of the cloud");
       continue;
@@ -174,6 +230,13 @@ void PhotographStages::raycast(const stream::Store& store, Shoot& shoot) {
   }
   shoot.photos = std::move(kept);
   require_photographs(shoots_);
+}
+
+void PhotographStages::note_masks() {
+  // A mask may well leave a small part of a large cloud, or some of what surrounds it, but hardly both.
+  if (2 * masked_.used_on_cloud >= masked_.used || 2 * masked_.used_on_cloud >= masked_.on_cloud) return;
+  run_.note_both(concat("the masks leave ", 100 * masked_.used_on_cloud / masked_.on_cloud, " % of what the photographs show of the cloud, and mostly pixels that do not show it: white is what is used. Are the masks the other way round, "
+                        "or cameras and cloud not in one frame?"));
 }
 
 void PhotographStages::note_backs() {

@@ -26,6 +26,8 @@ class PhotographStages {
   void raycast(const stream::Store& store, Shoot& shoot);
   /// Points are seen from their front alone. Where a scan's normals point inwards all of it stays unseen.
   void note_backs();
+  /// Masks outline the object. Where they leave little of it and much else, they may be meant the other way round.
+  void note_masks();
 
  private:
   void develop_one(const Acquisition& a, Photo& photo);
@@ -36,6 +38,10 @@ class PhotographStages {
   std::vector<Shoot>& shoots_;
   std::map<std::string, std::vector<std::string>> development_notes_;   ///< and the files of which they are said
   std::uint64_t pixels_on_cloud_ = 0, pixels_from_behind_ = 0;
+  std::map<std::string, std::uint64_t> pixels_left_by_mask_;            ///< of each photograph that has a mask
+  struct {
+    std::uint64_t used = 0, on_cloud = 0, used_on_cloud = 0;
+  } masked_;                                                            ///< pixels of the photographs with masks
 };
 
 }  // namespace chiaro::tools

@@ -127,6 +127,14 @@ void note_own_lights(RunContext& run, const std::string& acquisition, const std:
   }
 }
 
+/// Highlights and edges of shadows are a few pixels. Where it is many, the light is too weak.
+void note_impossible(RunContext& run, const Acquisition& a, std::uint64_t solved, std::uint64_t impossible) {
+  constexpr std::uint64_t kNoted = 20;   // one in so many
+  if (impossible * kNoted <= solved + impossible) return;
+  run.note_both(concat("acquisition \"", a.name, "\": ", 100 * impossible / (solved + impossible), " % of the pixels that the light reaches would reflect more than twice of it, or are far below black, and have no value: ",
+                       "is the flash's intensity_range too low for these photographs, project.unit another one, or does the object shine?"));
+}
+
 }  // namespace
 
 void solve_lights(RunContext& run, const stream::Store& store, std::vector<Shoot>& shoots, std::size_t lead) {
@@ -172,6 +180,7 @@ void solve_albedo(RunContext& run, const stream::Store& store, const std::vector
   std::unique_ptr<optimize::Scene> scene;   // loaded once, and only if some photograph needs it
   optimize::AlbedoOptions options;
   options.direct_only = run.project.method == SolveMethod::kDirect;
+  std::uint64_t solved = 0, impossible = 0;
   for (Photo& photo : shoot.photos) {
     const std::size_t k = photo.index_in_lights;
     if (lead.lights.strangers[k]) {
@@ -192,7 +201,11 @@ void solve_albedo(RunContext& run, const stream::Store& store, const std::vector
       return Json{{"pixels", s.pixels}, {"pixels_solved", s.pixels_solved}, {"pixels_dark", s.pixels_dark}, {"pixels_above_one", s.pixels_above_one}, {"pixels_impossible", s.pixels_impossible}, {"median_sigma", s.median_sigma}};
     });
     run.record.count("pixels_solved", info["pixels_solved"]);
+    solved += info["pixels_solved"].get<std::uint64_t>();
+    impossible += info["pixels_impossible"].get<std::uint64_t>();
   }
+  run.record.count("pixels_impossible", impossible);
+  note_impossible(run, a, solved, impossible);
 }
 
 void take_colour(RunContext& run, Shoot& shoot) {

@@ -37,10 +37,10 @@ class TaskList {
   TaskList(std::map<std::string, Marker> markers, std::set<std::string> left_out, std::optional<Progress> progress, bool running)
       : markers_(std::move(markers)), left_out_(std::move(left_out)), progress_(std::move(progress)), running_(running) {}
 
-  void add(const std::string& stage, const std::string& item = "", bool of_photograph = false) {
+  void add(const std::string& stage, const std::string& item = "", bool left_out = false) {
     TaskStatus task{item.empty() ? stage : stage + "/" + item, stage, item};
     const auto marker = markers_.find(task.name);
-    if (of_photograph && left_out_.contains(item)) {
+    if (left_out) {
       task.state = TaskState::kLeftOut;
     } else if (running_ && progress_ && progress_->begun == task.name) {
       task.state = TaskState::kRunning;
@@ -52,6 +52,9 @@ class TaskList {
     }
     tasks.push_back(std::move(task));
   }
+  void add_of_photograph(const std::string& stage, const std::string& key) { add(stage, key, left_out_.contains(key)); }
+  bool leaves_out(const std::string& key) const { return left_out_.contains(key); }
+
   std::vector<TaskStatus> tasks;
   std::size_t from_before = 0;
 
@@ -63,14 +66,14 @@ class TaskList {
 };
 
 struct Shoot {
-  std::string name;
+  std::string name, lead;   ///< lead: of the acquisition that its lights are solved with, mostly itself
   std::vector<std::string> photographs;
 };
 
 std::vector<Shoot> shoots_of(const Json& project, const fs::path& file) {
   std::vector<Shoot> shoots;
   for (const Json& a : member(project, "acquisition")) {
-    Shoot shoot{text_of(member(a, "name")), {}};
+    Shoot shoot{text_of(member(a, "name")), text_of(member(a, "lights_of"), text_of(member(a, "name"))), {}};
     require_plain_name(shoot.name, file, "an acquisition");
     if (text_of(member(a, "role"), "flash") != "flash") continue;   // measured ambient light: not a source of albedo
     for (const Json& p : member(a, "photographs")) {
@@ -83,23 +86,30 @@ std::vector<Shoot> shoots_of(const Json& project, const fs::path& file) {
   return shoots;
 }
 
+/// Lights are solved once for all acquisitions that share them, and for none of which every photograph was left out.
+void add_lights(TaskList& list, const std::vector<Shoot>& shoots, const Shoot& lead) {
+  if (lead.lead != lead.name) return;
+  const bool none_left = std::all_of(shoots.begin(), shoots.end(), [&](const Shoot& s) {
+    return s.lead != lead.name || std::all_of(s.photographs.begin(), s.photographs.end(), [&](const std::string& key) { return list.leaves_out(key); });
+  });
+  list.add("gather", lead.name, none_left);
+  list.add("light", lead.name, none_left);
+}
+
 void add_tasks(TaskList& list, const std::vector<Shoot>& shoots, const std::string& method, const Json& project) {
   list.add("ingest");
   for (const Shoot& shoot : shoots) {
-    for (const auto& key : shoot.photographs) list.add("develop", key, true);
-    for (const auto& key : shoot.photographs) list.add("raycast", key, true);
-    if (method != "none") {
-      list.add("gather", shoot.name);
-      list.add("light", shoot.name);
-    }
-    for (const auto& key : shoot.photographs) list.add(method == "none" ? "colour" : "albedo", key, true);
+    for (const auto& key : shoot.photographs) list.add_of_photograph("develop", key);
+    for (const auto& key : shoot.photographs) list.add_of_photograph("raycast", key);
+    if (method != "none") add_lights(list, shoots, shoot);
+    for (const auto& key : shoot.photographs) list.add_of_photograph(method == "none" ? "colour" : "albedo", key);
   }
   const std::string layer = text_of(member(member(project, "blend"), "layer"), "albedo");
   const std::string item = RunFolder::blend_task(layer) == "blend" ? "" : layer;
   list.add("blend", item);
   if (text_of(member(member(project, "blend"), "refine"), "none") != "none") list.add("refine", item);
   for (const Shoot& shoot : shoots)
-    for (const auto& key : shoot.photographs) list.add("residual", key, true);
+    for (const auto& key : shoot.photographs) list.add_of_photograph("residual", key);
   for (const Json& e : member(project, "export")) list.add("export", text_of(member(e, "file")));
 }
 
@@ -194,6 +204,13 @@ RunStatus read_status(const RunFolder& folder) {
   status.complete = std::none_of(status.tasks.begin(), status.tasks.end(), [](const TaskStatus& t) { return t.state == TaskState::kToDo || t.state == TaskState::kRunning; });
   add_parts(status, folder);
   return status;
+}
+
+std::string note_on_unfinished(const RunStatus& status) {
+  if (status.complete) return {};
+  const auto to_do = std::count_if(status.tasks.begin(), status.tasks.end(), [](const TaskStatus& t) { return t.state == TaskState::kToDo || t.state == TaskState::kRunning; });
+  return concat(status.running ? "a run is at work in this folder" : "the last run in this folder did not come to its end", " (", to_do, " of ", status.tasks.size(),
+                " tasks are to do, see chiaro status): what is shown may be in part of an earlier run, with other options or inputs");
 }
 
 }  // namespace chiaro::tools

@@ -54,4 +54,7 @@ struct RunStatus {
 /// throws Error naming the file if the folder is none that `chiaro run` made, or project.json or run.json is damaged.
 RunStatus read_status(const RunFolder& folder);
 
+/// A sentence for whoever shows the results in a folder whose last run has not come to its end, so that they may be of two runs; empty: it has.
+std::string note_on_unfinished(const RunStatus& status);
+
 }  // namespace chiaro::tools

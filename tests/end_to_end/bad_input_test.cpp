@@ -233,6 +233,21 @@ TEST_F(BadInput, APhotographOfAnotherObjectIsLeftOutAndNamed) {
   EXPECT_NEAR(lights()["ambient"].get<double>(), options.ambient_radiance, 0.02 * options.ambient_radiance);
 }
 
+TEST_F(BadInput, AnAlbedoThatNoSurfaceHasIsNoted) {
+  const TinyScene s = scene();
+  const std::vector<std::string> direct{"--set", "solve.method=direct"};
+  EXPECT_THAT(run("out", direct).err, testing::Not(HasSubstr("hardly that of any surface")));
+  edit("scene/project.toml", "[8.95, 9.05]", "[895, 905]");   // as of photographs in other numbers, or of lengths in another unit
+  for (int k = 0; k < 2; ++k) EXPECT_THAT(run("out", direct).err, HasSubstr("hardly that of any surface: nearly all of it is below 0.01"));
+  edit("scene/project.toml", "[895, 905]", "[3.55, 3.65]");
+  EXPECT_THAT(run("out", direct).err, HasSubstr("hardly that of any surface: half of it is above 1."));
+  edit("scene/project.toml", "[3.55, 3.65]", "[0.895, 0.905]");
+  const ProcessResult nothing = run("out", direct);   // beyond what is given a value
+  EXPECT_EQ(nothing.code, 1);
+  EXPECT_THAT(nothing.err, HasSubstr("acquisition \"day1\": 100 % of the pixels that the light reaches would reflect more than twice of it"));
+  EXPECT_EQ(run("out", {"--set", "solve.method=none"}).err.find("hardly"), std::string::npos);
+}
+
 TEST_F(BadInput, ARangeThatAReferenceContradictsIsNamed) {
   TinySceneOptions options;
   options.intensity_range = {10, 12};   // sd 4.6 % around 10.95; the truth is 9
@@ -282,6 +297,74 @@ TEST_F(BadInput, ScaledCopiesOfWhatTheCameraIsOfAreNotedOnce) {
   ASSERT_EQ(ran.code, 0) << ran.err;
   EXPECT_THAT(ran.err, HasSubstr("96 x 72 pixels where the camera is of 192 x 144: taken as a scaled copy of all of it"));
   EXPECT_LE(error_of(s).absolute, 0.02);
+}
+
+TEST_F(BadInput, SinglePrecisionFarFromTheOriginIsNotedInTheRecordToo) {
+  const TinyScene s = scene();
+  std::string text = "ply\nformat ascii 1.0\nelement vertex " + std::to_string(s.positions.size()) + "\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+  for (const Vec3d& p : s.positions) text += std::to_string(p.x() + 500000) + " " + std::to_string(p.y() + 4000000) + " " + std::to_string(p.z()) + "\n";
+  put_bytes(s.folder / "cloud.ply", text);
+  for (int k = 0; k < 2; ++k) {   // a run that goes on, or is repeated, has it as well
+    (void)run("out", {"--set", "solve.method=direct"});
+    EXPECT_THAT(file_bytes(at("out/run.json")), HasSubstr("cloud.ply: its coordinates have single precision"));
+  }
+}
+
+TEST_F(BadInput, UprightAndLyingPhotographsOfOneAcquisitionAreNoted) {
+  TinySceneOptions options;
+  options.masks = false;
+  const TinyScene s = scene(options);
+  EXPECT_THAT(run("out", {"--set", "solve.method=direct"}).err, testing::Not(HasSubstr("upright")));
+  // One is cropped to a part that stands: of that size, whatever it was turned from.
+  const fs::path file = s.folder / "photos/photo_02.exr";
+  const stream::Image image = stream::read_image(file);
+  const int width = 48, left = (image.width - width) / 2;
+  std::vector<float> part;
+  for (int y = 0; y < image.height; ++y)
+    for (int i = 3 * (y * image.width + left); i < 3 * (y * image.width + left + width); ++i) part.push_back(image.values[static_cast<std::size_t>(i)]);
+  stream::write_exr(file, width, image.height, {"R", "G", "B"}, part, false);
+  put_bytes(s.folder / "sparse/cameras.txt", file_bytes(s.folder / "sparse/cameras.txt") + "\n2 PINHOLE 48 72 110 110 24 36\n");
+  edit("scene/sparse/images.txt", "1 photo_02.exr", "2 photo_02.exr");
+  const ProcessResult ran = run("out", {"--set", "solve.method=direct"});
+  EXPECT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("1 of its photographs stand upright (photo_02), 2 lie (photo_00, "));
+  EXPECT_THAT(ran.err, HasSubstr("offset_in_camera = [0.2, 0.25, 0.02] (turned clockwise) or [-0.2, -0.25, 0.02]"));
+  // A flash around the lens has no side.
+  edit("scene/project.toml", "[0.25, -0.2, 0.02]", "[0, 0, 0.02]");
+  EXPECT_THAT(run("out", {"--set", "solve.method=direct"}).err, testing::Not(HasSubstr("upright")));
+}
+
+TEST_F(BadInput, MasksTheOtherWayRoundAreNoticed) {
+  const TinyScene s = scene();
+  const std::vector<std::string> direct{"--set", "solve.method=direct"};
+  EXPECT_THAT(run("out", direct).err, testing::Not(HasSubstr("the other way round")));
+  for (int k = 0; k < 3; ++k) {
+    const fs::path file = s.folder / "masks" / ("photo_0" + std::to_string(k) + ".png");
+    const stream::Image mask = stream::read_image(file);
+    std::vector<std::uint8_t> turned;
+    const std::size_t channels = mask.values.size() / (static_cast<std::size_t>(mask.width) * static_cast<std::size_t>(mask.height));
+    for (std::size_t i = 0; i < mask.values.size(); i += channels) turned.push_back(mask.values[i] > 0.5f ? 0 : 255);
+    stream::write_png_srgb8(file, mask.width, mask.height, turned, 1);
+  }
+  EXPECT_THAT(run("out", direct).err, HasSubstr("white is what is used. Are the masks the other way round"));
+}
+
+TEST_F(BadInput, OneCameraForPhotographsOfTwoAcquisitionsIsNoted) {
+  TinySceneOptions options;
+  options.masks = false;
+  const TinyScene s = scene(options);
+  fs::create_directories(s.folder / "left");
+  fs::copy_file(s.folder / "photos/photo_02.exr", s.folder / "left/photo_00.exr");
+  fs::remove(s.folder / "photos/photo_02.exr");
+  put_bytes(s.project, file_bytes(s.project) + "\n[[acquisition]]\nname = \"left\"\nphotographs = [\"left/photo_*.exr\"]\ncameras = \"sparse\"\n[acquisition.flash]\noffset_in_camera = [0.25, -0.2, 0.02]\n");
+  ProcessResult ran = run("out", {"--set", "solve.method=direct"});
+  EXPECT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("left/photo_00.exr have one camera, \"photo_00.exr\" of "));
+  // A second shutter time, or none of the flash, is taken from where the first was.
+  edit("scene/project.toml", "name = \"left\"", "name = \"left\"\nrole = \"no_flash\"");
+  edit("scene/project.toml", "[acquisition.flash]\noffset_in_camera = [0.25, -0.2, 0.02]\n", "");
+  ran = run("out", {"--set", "solve.method=direct"});
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("have one camera")));
 }
 
 TEST_F(BadInput, ARangeThatHoldsTheTruthIsNotDoubted) {

@@ -427,6 +427,33 @@ TEST_F(Run, PredictsAPhotographFromElsewhere) {
   EXPECT_LE(error / size, 0.03);   // its outline included
 }
 
+TEST_F(Run, NotesWhatAViewDoesNotShow) {
+  TinySceneOptions options;
+  options.masks = false;
+  const TinyScene s = scene(options);
+  const auto render = [&] { return chiaro({"render", at("out").string(), "--views", (s.folder / "novel/views.toml").string(), "--out", at("novel").string()}); };
+  ASSERT_EQ(run("out", {"--set", "solve.method=direct"}).code, 0);
+  EXPECT_THAT(render().err, testing::Not(HasSubstr("note")));
+
+  edit("scene/project.toml", "photo_*.exr", "photo_0[01].exr");
+  put_bytes(s.project, file_bytes(s.project) + "\n[[acquisition]]\nname = \"day2\"\nphotographs = [\"photos/photo_02.exr\"]\ncameras = \"sparse\"\n[acquisition.flash]\noffset_in_camera = [0.25, -0.2, 0.02]\nintensity_range = [8.95, 9.05]\n");
+  ASSERT_EQ(run("out", {"--set", "solve.method=direct"}).code, 0);
+  EXPECT_THAT(render().err, HasSubstr("lights of 2 acquisitions; views are shown in those of \"day1\""));
+
+  edit("scene/project.toml", "name = \"day2\"", "name = \"day2\"\nlights_of = \"day1\"");   // the same ones
+  ASSERT_EQ(run("out", {"--set", "solve.method=direct"}).code, 0);
+  EXPECT_THAT(render().err, testing::Not(HasSubstr("note")));
+
+  put_bytes(at("out/work/progress"), "+ingest\n");   // as a run leaves it that was killed there
+  const std::string views = file_bytes(s.folder / "novel/views.toml");
+  const std::size_t shift = views.find("translation_camera_from_world");
+  put_bytes(s.folder / "novel/views.toml", views.substr(0, shift) + "translation_camera_from_world = [0.0, 0.0, -50.0]" + views.substr(views.find('\n', shift)));
+  const ProcessResult ran = render();
+  EXPECT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("novel_00: shows nothing of the cloud"));
+  EXPECT_THAT(ran.err, HasSubstr("did not come to its end"));
+}
+
 TEST_F(Run, RendersTheColourOfARunThatSolvedNoLights) {
   const TinyScene s = scene({.photographs = 1});
   ASSERT_EQ(run("out", {"--set", "solve.method=none"}).code, 0);

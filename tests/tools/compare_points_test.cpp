@@ -152,6 +152,24 @@ TEST_F(ComparePointsTest, RefusesWhatCannotBeCompared) {
   EXPECT_FALSE(fs::exists(scratch_.path() / "diff.obj"));
 }
 
+TEST_F(ComparePointsTest, CountsPointsThatLieElsewhere) {
+  const auto file = [&](const char* name, double shift, bool reversed) {
+    std::ofstream out(scratch_.path() / name);
+    out << "ply\nformat ascii 1.0\nelement vertex 100\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n";
+    for (int k = 0; k < 100; ++k) {
+      const int i = reversed ? 99 - k : k;
+      out << i + shift << ' ' << i % 7 << " 0 " << i << ' ' << i << ' ' << i << '\n';
+    }
+    return (scratch_.path() / name).string();
+  };
+  const std::string a = file("a.ply", 0, false);
+  const auto elsewhere = [&](const std::string& b) { return compare_points(a, b, {}, silent_reporter()).elsewhere; };
+  EXPECT_EQ(elsewhere(a), 0u);
+  EXPECT_EQ(elsewhere(file("rounded.ply", 0.01, false)), 0u);
+  EXPECT_EQ(elsewhere(file("moved.ply", 1, false)), 100u);
+  EXPECT_EQ(elsewhere(file("reversed.ply", 0, true)), 100u);
+}
+
 TEST_F(ComparePointsTest, NeverWritesOverWhatIsCompared) {
   const std::string a = albedo_ply("a.ply", {{0.5f, 0.5f, 0.5f}}), b = albedo_ply("b.ply", {{0.4f, 0.5f, 0.8f}});
   const std::string before = read_text(a);

@@ -75,6 +75,56 @@ TEST_P(EveryCommand, NeedsItsWords) {
 
 INSTANTIATE_TEST_SUITE_P(Commands, EveryCommand, testing::ValuesIn(kCommands), [](const auto& i) { return std::string(i.param); });
 
+TEST_F(ExecutableTest, CompareSaysWherePointsAreNotTheSame) {
+  write("a.ply", cloud(500));
+  std::string text = cloud(500);
+  const std::size_t rows = text.find("end_header\n") + 11;
+  const std::size_t end_of_first = text.find('\n', rows) + 1;
+  write("b.ply", text.substr(0, rows) + text.substr(end_of_first) + text.substr(rows, end_of_first - rows));   // the first point at the end
+  Ran ran = run("compare a.ply b.ply");
+  EXPECT_EQ(ran.code, 0);
+  EXPECT_THAT(ran.err, HasSubstr("note: 500 of 500 points do not lie in the same place"));
+  EXPECT_THAT(run("compare a.ply b.ply --json").out, HasSubstr("\"elsewhere\":500"));
+  EXPECT_THAT(run("compare a.ply a.ply").err, testing::Not(HasSubstr("note")));
+  ran = run("compare a.ply b.ply --picture d.jpg");
+  EXPECT_EQ(ran.code, 2);
+  EXPECT_THAT(ran.err, HasSubstr("--picture d.jpg: expected FILE.png"));
+}
+
+TEST_F(ExecutableTest, IngestRefusesAFileThatIsNamedTwice) {
+  write("cloud.ply", cloud(100));
+  const Ran ran = run("ingest cloud.ply './cl*.ply' --out s.chiaro");
+  EXPECT_EQ(ran.code, 2);
+  EXPECT_THAT(ran.err, HasSubstr("cloud.ply: is named twice"));
+}
+
+TEST_F(ExecutableTest, IngestSaysWhereSinglePrecisionHasLostTheShape) {
+  // A square metre, a point each 2 cm, at UTM coordinates: floats step by 0.25 there.
+  const auto far_cloud = [](const char* type) {
+    std::string text = std::string("ply\nformat ascii 1.0\nelement vertex 2500\nproperty ") + type + " x\nproperty " + type + " y\nproperty " + type + " z\nend_header\n";
+    for (int i = 0; i < 2500; ++i) text += std::to_string(500000 + 0.02 * (i % 50)) + " " + std::to_string(4000000 + 0.02 * (i / 50)) + " 10\n";
+    return text;
+  };
+  write("float.ply", far_cloud("float"));
+  write("double.ply", far_cloud("double"));
+  Ran ran = run("ingest float.ply --out float.chiaro");
+  EXPECT_EQ(ran.code, 0);
+  EXPECT_THAT(ran.err, HasSubstr("float.ply: its coordinates have single precision, which far from the origin means steps of 0.25 m"));
+  EXPECT_THAT(run("ingest float.ply --out float.chiaro").err, HasSubstr("steps of 0.25 m"));   // up to date, and no better
+  ran = run("ingest double.ply --out double.chiaro");
+  EXPECT_EQ(ran.code, 0);
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("single precision")));
+  std::string stray = cloud(2500);
+  stray.replace(stray.find("end_header\n") + 11, 1, "1e9");   // of the first point, x
+  write("stray.ply", stray);
+  EXPECT_THAT(run("ingest stray.ply --out stray.chiaro").err, testing::Not(HasSubstr("single precision")));
+  write("one.xyz", "1 2 3\n");
+  EXPECT_THAT(run("ingest one.xyz --out one.chiaro").err, testing::Not(HasSubstr("single precision")));
+  ran = run("ingest double.ply float.ply --out both.chiaro");
+  EXPECT_THAT(ran.err, HasSubstr("note: float.ply: its coordinates"));
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("double.ply: its coordinates")));
+}
+
 TEST_F(ExecutableTest, ListsItsCommandsAndSuggests) {
   EXPECT_EQ(run("").code, 2);
   const Ran help = run("--help");
@@ -170,7 +220,7 @@ TEST_F(ExecutableTest, RepairsAStoreAndNamesWhatIsLost) {
   write("s.chiaro/geometry.bin", bytes);
   const Ran lost = run("verify s.chiaro --repair");
   EXPECT_EQ(lost.code, 1);
-  EXPECT_THAT(lost.out, testing::AllOf(HasSubstr("lost: s.chiaro/geometry.bin: chunk"), HasSubstr("points are lost"), HasSubstr("to do: "), HasSubstr("cloud.ply")));
+  EXPECT_THAT(lost.out, testing::AllOf(HasSubstr("lost: s.chiaro/geometry.bin: chunk"), HasSubstr("points are lost"), HasSubstr("to do: "), HasSubstr("cloud.ply"), HasSubstr("to do: remove s.chiaro before that")));
   EXPECT_EQ(read_text(scratch_.path() / "s.chiaro/geometry.bin"), bytes);
   const std::string out = run("verify s.chiaro --repair --json").out;
   const std::string result = out.substr(out.find("{\"event\":\"result\""));

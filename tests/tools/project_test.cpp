@@ -283,7 +283,7 @@ TEST_F(ProjectTest, SaysHowPathsAreWritten) {
 
 TEST_F(ProjectTest, RefusesPhotographsThatShareAName) {
   std::ofstream(scratch_.path() / "photos/photo_9.tif") << "x";
-  EXPECT_THAT(complaint(changed("photo_*.exr", "photo_*")), HasSubstr("photo_9.exr and photo_9.tif share the name \"photo_9\""));
+  EXPECT_THAT(complaint(changed("photo_*.exr", "photo_*")), HasSubstr("photos/photo_9.exr and photos/photo_9.tif share the name \"photo_9\""));
   std::ofstream(scratch_.path() / "photos/other.jpg") << "x";
   EXPECT_THAT(complaint("[cloud]\nfiles = \"cloud.ply\"\n[[acquisition]]\nphotographs = [\"photos/*.jpg\", \"photos/*.exr\"]\ncameras = \"sparse\"\n"),
               HasSubstr("are of different kinds"));

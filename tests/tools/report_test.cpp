@@ -149,6 +149,16 @@ TEST(Report, HoldsTheNumbersOfTheRun) {
   EXPECT_EQ(j["lights"][0]["flash_intensity"], 31.25);
 }
 
+TEST(Report, SaysThatTheLastRunDidNotEnd) {
+  RunFixture run;
+  run.write();
+  write_report(run.folder, silent_reporter());
+  EXPECT_THAT(page_of(run), Not(HasSubstr("did not come to its end")));
+  write_text(run.folder.progress(), "=ingest\n+develop/photo_00\n");
+  write_report(run.folder, silent_reporter());
+  EXPECT_THAT(page_of(run), HasSubstr("the last run in this folder did not come to its end"));
+}
+
 TEST(Report, IsOneWellFormedPageThatNeedsNothingFromElsewhere) {
   RunFixture run;
   run.write();

@@ -84,6 +84,22 @@ TEST(Status, ResultsOfAnEarlierRunAreToDoUntilTheRunComesToThem) {
   EXPECT_EQ(read_status(run.folder).from_before, 5u + 8u);
 }
 
+TEST(Status, LightsThatAreSharedOrOfNothingAreNotToDo) {
+  RunFixture run;
+  run.write();
+  auto project = nlohmann::json::parse(read_text(run.folder.project()));
+  const auto photograph = [](const char* key) { return nlohmann::json::array({{{"key", key}, {"file", "/somewhere/else.exr"}}}); };
+  project["acquisition"].push_back({{"name", "slower"}, {"role", "flash"}, {"lights_of", "day1"}, {"photographs", photograph("slow_00")}});
+  project["acquisition"].push_back({{"name", "spoiled"}, {"role", "flash"}, {"photographs", photograph("photo_99")}});   // left out, by run.json
+  write_text(run.folder.project(), project.dump());
+  for (const char* stage : {"develop/", "raycast/", "albedo/", "residual/"}) run.mark(stage + std::string("slow_00"), 1);
+  const RunStatus s = read_status(run.folder);
+  EXPECT_TRUE(s.complete);
+  EXPECT_THROW(task(s, "gather/slower"), Error);
+  EXPECT_EQ(task(s, "light/day1").state, TaskState::kDone);
+  EXPECT_EQ(task(s, "light/spoiled").state, TaskState::kLeftOut);
+}
+
 TEST(Status, KnowsTheTasksOfBlendingAlone) {
   RunFixture run;
   run.method = "none";
