@@ -117,7 +117,7 @@ void note_own_lights(RunContext& run, const std::string& acquisition, const std:
   const auto note_spread = [&](double spread, const char* what, const char* as_of) {
     if (spread > 0) run.note_both(concat("acquisition \"", acquisition, "\": ", what, " of its photographs varies by ", format_number(100 * spread, 2), " % (standard deviation), as ", as_of, "; corrected"));
   };
-  note_spread(lights.spread[optimize::kExposure], "the brightness", "of a flash that is not always the same");
+  note_spread(lights.spread[optimize::kExposure], "the brightness", "of a flash that is not always the same, or that stands elsewhere than offset_in_camera says (x to the right, y down, z forwards)");
   note_spread(lights.spread[optimize::kAmbient], "the ambient light", "daylight does under passing clouds");
   for (std::size_t k = 0; k < lights.own_lights.size(); ++k) {
     const optimize::OwnLight& own = lights.own_lights[k];

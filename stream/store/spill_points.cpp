@@ -37,8 +37,10 @@ struct Piece {
 /// Reads all clouds block by block, one after the other; work(piece) is called for several at a time, take(piece) in the order of the points.
 template <class Made, class Work, class Take>
 void for_each_block(const CloudInput& input, PointSpool& spool, PointSpool::Reading reading, std::size_t block_points, MemoryBudget& budget, const Work& work, const Take& take) {
-  const auto slots = static_cast<std::size_t>(std::clamp(ThreadLimit::current(), 1, 8)) + 1;
-  const BudgetLease lease(budget, slots * block_points * (48 + Made::kBytesPerPoint), "blocks of points");
+  const std::size_t slot_bytes = block_points * (48 + Made::kBytesPerPoint);
+  const std::uint64_t room = std::max<std::uint64_t>(2, budget.free_bytes() / 4 / slot_bytes);
+  const auto slots = static_cast<std::size_t>(std::min<std::uint64_t>(static_cast<std::uint64_t>(std::clamp(ThreadLimit::current(), 1, 8)) + 1, room));
+  const BudgetLease lease(budget, slots * slot_bytes, "blocks of points");
   std::vector<Piece<Made>> pieces(slots);
   std::uint64_t next = 0;
   for (std::size_t cloud = 0; cloud < input.files.size(); ++cloud) {
