@@ -192,18 +192,23 @@ TEST(Adam, GradientsAgreeWithFiniteDifferences) {
   }
 }
 
+/// All surfels seen under a far flash above them; radiosity from what arrives of a flash of unit intensity.
+template <class Radiosity>
+Observation seen_from_above(const Lit& s, const Radiosity& radiosity) {
+  const std::size_t n = s.proxy.size();
+  Observation o;
+  o.seen.assign(n, 1);
+  for (std::size_t i = 0; i < n; ++i) {
+    o.flash.push_back(0.3f * std::max(0.0f, s.proxy.normal[i].z()));
+    o.radiosity.insert(o.radiosity.end(), 3, radiosity(o.flash[i]));
+  }
+  return o;
+}
+
 TEST(Adam, StartDecidesWhatOnePhotographCannot) {
   // The paper's loss is flat along flash against ambient: from low and high flash the fit is as good, the light is not the same (physics.md 0.1).
   const Lit s(tests::sphere_points(3000, 1.0, {0, 0, 0}, false), 16);
-  const std::size_t n = s.proxy.size();
-  Observation o;
-  o.flash.resize(n);
-  o.seen.assign(n, 1);
-  o.radiosity.resize(3 * n);
-  for (std::size_t i = 0; i < n; ++i) {
-    o.flash[i] = 0.3f * std::max(0.0f, s.proxy.normal[i].z());
-    for (std::size_t c = 0; c < 3; ++c) o.radiosity[3 * i + c] = 0.5f * (5 * o.flash[i] + 3.14159f * 0.12f);
-  }
+  const Observation o = seen_from_above(s, [](float flash) { return 0.5f * (5 * flash + 3.14159f * 0.12f); });
   AdamOptions options;
   options.search_steps = 1;
   options.search_iterations = 50;
@@ -263,15 +268,7 @@ TEST(SkyBasis, IsTheOneOfItsHeader) {
 // Brighter than any albedo explains: the search ends at the range's upper end, flash and albedo at their bounds.
 TEST(Adam, StaysInTheCalibratedRangeAndBelowWhite) {
   const Lit s(tests::sphere_points(1000, 1.0, {0, 0, 0}, false), 8);
-  const std::size_t n = s.proxy.size();
-  Observation o;
-  o.flash.resize(n);
-  o.seen.assign(n, 1);
-  o.radiosity.resize(3 * n);
-  for (std::size_t i = 0; i < n; ++i) {
-    o.flash[i] = 0.3f * std::max(0.0f, s.proxy.normal[i].z());
-    for (std::size_t c = 0; c < 3; ++c) o.radiosity[3 * i + c] = 40 * o.flash[i];
-  }
+  const Observation o = seen_from_above(s, [](float flash) { return 40 * flash; });
   AdamOptions options;
   options.search_iterations = 40;
   const AdamResult r = solve_adam(s.transport, o, {5, 10}, options, silent_reporter());
