@@ -97,6 +97,12 @@ struct Sixteen {
   }
 };
 
+/// pixels: Four or Sixteen.
+template <class Pixels>
+Vec3f albedo_of(const PhotoRows& photo, const Pixels& pixels) {
+  return {pixels.mean(photo.r), pixels.mean(photo.g), pixels.mean(photo.b)};
+}
+
 /// Adds what the photograph shows at `at`, if that surface is there.
 void add_sample(const PhotoRows& photo, const Place& at, const Vec2f& shift_px, float radius, Sum& sum) {
   const auto surface = Four::around(photo, at.u, at.v), shown = Four::around(photo, at.u + shift_px.x(), at.v + shift_px.y());
@@ -104,13 +110,9 @@ void add_sample(const PhotoRows& photo, const Place& at, const Vec2f& shift_px, 
   const float footprint = photo.footprint[surface->first], edge = surface->least(photo.edge) - 0.5f * at.blur_px;
   if (!(footprint > 0) || footprint > radius || edge < kLeastEdge) return;
   if (std::fabs(surface->mean(photo.depth) - at.distance) > kDepthFootprints * footprint) return;
-  Vec3f albedo(shown->mean(photo.r), shown->mean(photo.g), shown->mean(photo.b));
-  if (edge >= kCubicEdge) {
-    if (const auto wider = Sixteen::around(photo, at.u + shift_px.x(), at.v + shift_px.y())) {
-      const Vec3f sharper(wider->mean(photo.r), wider->mean(photo.g), wider->mean(photo.b));
-      if (sharper.sum() >= 0) albedo = sharper;
-    }
-  }
+  const auto wider = edge >= kCubicEdge ? Sixteen::around(photo, at.u + shift_px.x(), at.v + shift_px.y()) : std::nullopt;
+  Vec3f albedo = wider ? albedo_of(photo, *wider) : albedo_of(photo, *shown);
+  if (wider && !(albedo.sum() >= 0)) albedo = albedo_of(photo, *shown);   // one of the sixteen has no value: the next four may
   const float sigma = shown->mean(photo.sigma);
   if (!(albedo.sum() >= 0) || !(sigma >= 0)) return;   // NaN: no value at one of the four
   const float resolution = photo.cosv[surface->first] / footprint;

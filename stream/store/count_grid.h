@@ -26,13 +26,15 @@ struct RootCube {
   std::array<std::int64_t, 3> corner{};      ///< of the lower corner, in units
   double edge() const;
   Vec3d origin() const;
+  /// Units to a project unit: 2^(37 - exponent).
+  double per_unit() const { return std::bit_cast<double>(static_cast<std::uint64_t>(1023 + kAxisBits - exponent) << 52); }
   /// Clamped to the cube.
   std::array<std::uint64_t, 3> quantise(const Vec3d& p) const {
-    const double per_unit = std::bit_cast<double>(static_cast<std::uint64_t>(1023 + kAxisBits - exponent) << 52);  // 2^(37 - exponent)
+    const double per_project_unit = per_unit();
     constexpr std::int64_t kLast = (std::int64_t{1} << kAxisBits) - 1;
     std::array<std::uint64_t, 3> q;
     for (std::size_t a = 0; a < 3; ++a)
-      q[a] = static_cast<std::uint64_t>(std::clamp<std::int64_t>(floor_integer(p[static_cast<int>(a)] * per_unit) - corner[a], 0, kLast));
+      q[a] = static_cast<std::uint64_t>(std::clamp<std::int64_t>(floor_integer(p[static_cast<int>(a)] * per_project_unit) - corner[a], 0, kLast));
     return q;
   }
 };

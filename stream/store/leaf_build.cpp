@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <span>
 #include <unordered_map>
 
 #include "stream/base/error.h"
@@ -197,7 +198,7 @@ class LeafAssembler {
   };
 
   // Some are sorted while the leaves of those before are written.
-  void build(std::vector<Job>& jobs) {
+  void build(std::span<Job> jobs) {
     std::uint64_t largest = 0;
     for (const Job& job : jobs) largest = std::max(largest, job.count);
     const auto workers = static_cast<std::size_t>(leaf_workers(budget_, rules_.chunk_surfels).workers);
@@ -266,9 +267,7 @@ class LeafAssembler {
       if (j.count > capacity) {
         build_oversized(j, capacity);
       } else {
-        std::vector<Job> one(1);
-        one[0] = std::move(j);
-        build(one);
+        build(std::span(&j, 1));
       }
     }
     spill_end_ = saved;

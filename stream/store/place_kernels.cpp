@@ -1,7 +1,5 @@
 #include "stream/store/place_kernels.h"
 
-#include <bit>
-
 #include "stream/store/lanes.h"
 
 // Plain loops that the compiler turns into vectors, once for each kind of processor. Positions are off the grid in few files: rounding goes through integers in all.
@@ -99,7 +97,7 @@ void positions_of(std::span<const std::int64_t> k, GridAxis axis, double* positi
 void integers_of(std::span<const double> positions, GridAxis axis, std::int64_t* k, std::uint8_t* whole) { kernels().integers(positions.data(), positions.size(), axis, k, whole); }
 
 void quantise(std::span<const double> positions, const RootCube& root, std::size_t axis, std::int64_t* q) {
-  const AxisOfRoot of_root{std::bit_cast<double>(static_cast<std::uint64_t>(1023 + kAxisBits - root.exponent) << 52), root.corner[axis]};
+  const AxisOfRoot of_root{root.per_unit(), root.corner[axis]};
   kernels().quantise(positions.data(), positions.size(), of_root, q);
 }
 

@@ -16,12 +16,15 @@
 #include "stream/cloud/point_stream.h"
 #include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
+#include "tests/blend/noting_reporter.h"
 #include "tools/export_rows.h"
 #include "tools/fill_unseen.h"
 #include "tools/inserted_points.h"
 
 namespace chiaro::tools {
 namespace {
+
+using blend::NotingReporter;
 
 constexpr std::uint64_t kPlenty = std::uint64_t{1} << 30;
 constexpr std::size_t kPoints = 6000;
@@ -118,16 +121,6 @@ PlyFile read_ply(const std::filesystem::path& path) {
   EXPECT_EQ(at, text.data() + text.size());
   return ply;
 }
-
-class NotingReporter : public Reporter {
- public:
-  void begin(std::string_view, std::uint64_t, std::string_view) override {}
-  void progress(std::uint64_t) override {}
-  void end() override {}
-  void note(std::string_view text) override { notes += std::string(text) + "\n"; }
-  bool cancelled() const override { return false; }
-  std::string notes;
-};
 
 Vec3f albedo_of(std::uint64_t source) {
   const auto u = uniform01x4(77, Purpose::kTest, source, 0);

@@ -7,6 +7,7 @@
 
 #include "stream/base/error.h"
 #include "stream/base/parallel.h"
+#include "tests/blend/noting_reporter.h"
 #include "tests/blend/stopping_reporter.h"
 #include "tests/blend/workplace.h"
 
@@ -112,17 +113,6 @@ TEST_F(Refine, TheBudgetIsKeptAndSpent) {
   }
 }
 
-/// Keeps what is noted.
-class Noted final : public Reporter {
- public:
-  void begin(std::string_view, std::uint64_t, std::string_view) override {}
-  void progress(std::uint64_t) override {}
-  void end() override {}
-  void note(std::string_view text) override { notes += std::string(text) + "\n"; }
-  bool cancelled() const override { return false; }
-  std::string notes;
-};
-
 TEST_F(Refine, WhereNoStepKeepsToTheBudgetNothingIsInserted) {
   // A point through a microscope: pixels of 2 micrometres, so that the coarsest step, 3756 of them, still refines a spacing of 40 mm.
   Vec3d middle = Vec3d::Constant(1e3);
@@ -132,7 +122,7 @@ TEST_F(Refine, WhereNoStepKeepsToTheBudgetNothingIsInserted) {
       if (const Vec3d p = chunk.surfel(i).position_in_world; (p - Vec3d(0.5, 0.5, 0)).norm() < (middle - Vec3d(0.5, 0.5, 0)).norm()) middle = p;
   }
   const std::vector<BlendPhotograph> photos{w.photograph("near", middle + Vec3d(0, 0, 1), middle, {}, 5e5)};
-  Noted report;
+  NotingReporter report;
   const RefineStats stats = find(photos, 1, kPlenty, report);
   EXPECT_EQ(stats.inserted, 0u);
   EXPECT_EQ(stats.refined, 0u);
