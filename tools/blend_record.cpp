@@ -28,23 +28,24 @@ Json json_of(const blend::PhotographStats& p, const std::string& name) {
   return j;
 }
 
-void add_notes(const blend::PhotographStats& p, const std::string& name, Json& notes) {
+// In pixels of the picture, where the working image has cells of them.
+void add_notes(const blend::PhotographStats& p, const std::string& name, int cell_px, Json& notes) {
   const double gain = std::cbrt(p.gain[0] * p.gain[1] * p.gain[2]);
   if (p.gain != std::array<double, 3>{1, 1, 1}) notes.push_back(concat(name, ": ", format_number(1 / gain, 4), " times as bright as the others show the same surface; corrected in the blend"));
   if (const auto& shift = p.inspection.shift_px; shift && (p.alignment.trust < 1 || p.alignment.shift_px != Vec2f::Zero()))
-    notes.push_back(concat(name, ": shows the surface ", format_number(static_cast<double>(shift->norm()), 2), " pixels beside where its camera puts it; ",
+    notes.push_back(concat(name, ": shows the surface ", format_number(cell_px * static_cast<double>(shift->norm()), 2), " pixels beside where its camera puts it; ",
                            p.alignment.shift_px == Vec2f::Zero() ? "its weight is reduced" : "corrected in the blend"));
   if (const auto& d = p.inspection.disturbed)
-    notes.push_back(concat(name, ": pixels ", d->x0, " to ", d->x1, " across and ", d->y0, " to ", d->y1, " down show something else than the other photographs; left out there"));
+    notes.push_back(concat(name, ": pixels ", cell_px * d->x0, " to ", cell_px * d->x1, " across and ", cell_px * d->y0, " to ", cell_px * d->y1, " down show something else than the other photographs; left out there"));
 }
 
 }  // namespace
 
-std::string blend_record_json(const blend::BlendStats& stats, std::span<const blend::BlendPhotograph> photographs) {
+std::string blend_record_json(const blend::BlendStats& stats, std::span<const blend::BlendPhotograph> photographs, std::span<const int> cells_px) {
   Json each = Json::array(), notes = Json::array();
   for (std::size_t k = 0; k < photographs.size(); ++k) {
     each.push_back(json_of(stats.photographs[k], photographs[k].name));
-    add_notes(stats.photographs[k], photographs[k].name, notes);
+    add_notes(stats.photographs[k], photographs[k].name, cells_px[k], notes);
   }
   Json denoising;   // null: not asked for
   if (const auto& d = stats.denoising) {

@@ -33,10 +33,11 @@ class Pipeline {
     shoots_ = read_shoots(run_);
     const stream::Store store(run_.folder.store());
     count_points(store);
-    PhotographStages photographs(run_, shoots_);
+    PhotographStages photographs(run_, store, shoots_);
+    photographs.plan();
     for (Shoot& shoot : shoots_) {
       photographs.develop(shoot);
-      photographs.raycast(store, shoot);
+      photographs.raycast(shoot);
       if (run_.project.method == SolveMethod::kNone) take_colour(run_, shoot);
     }
     photographs.note_masks();

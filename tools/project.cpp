@@ -99,6 +99,13 @@ void read_noise(const toml::node& node, const std::string& key, std::optional<No
   noise = values;
 }
 
+void read_binning(const toml::node& node, const std::string& key, std::optional<int>& binning) {
+  constexpr std::int64_t kMost = 64;
+  if (node.is_string() && as_text(node, key) == "auto") return;
+  if (!node.is_integer()) fail(node, concat(key, ": expected \"auto\" or a whole number from 1 to ", kMost));
+  binning = static_cast<int>(as_whole(node, key, 1, kMost));
+}
+
 void read_focus(const toml::node& node, const std::string& key, std::optional<FocusInput>& focus) {
   const Section section(as_table(node, key), key, {"distance", "f_number", "focal_length"});
   FocusInput values;
@@ -223,7 +230,7 @@ void read_floor_plane(const toml::node& node, Acquisition& acquisition) {
 }
 
 Acquisition read_acquisition(const toml::table& table, std::size_t number, const fs::path& folder, std::vector<std::string>& notes) {
-  const Section section(table, "acquisition", {"name", "role", "photographs", "encoding", "masks", "cameras", "noise", "flash", "focus", "falloff", "ambient", "reference", "exposure_s", "lights_of"});
+  const Section section(table, "acquisition", {"name", "role", "photographs", "encoding", "masks", "cameras", "noise", "binning", "flash", "focus", "falloff", "ambient", "reference", "exposure_s", "lights_of"});
   Acquisition acquisition;
   acquisition.name = concat("acquisition", number + 1);
   section.text("name", acquisition.name);
@@ -248,6 +255,7 @@ Acquisition read_acquisition(const toml::table& table, std::size_t number, const
   std::error_code code;
   if (!fs::exists(acquisition.cameras, code)) fail(cameras, concat("acquisition.cameras: no such file or folder: ", acquisition.cameras.string()));
   if (const toml::node* noise = section.find("noise")) read_noise(*noise, "acquisition.noise", acquisition.noise);
+  if (const toml::node* binning = section.find("binning")) read_binning(*binning, "acquisition.binning", acquisition.binning);
   if (const toml::node* flash = section.find("flash")) read_flash(*flash, "acquisition.flash", acquisition.flash);
   if (const toml::node* focus = section.find("focus")) read_focus(*focus, "acquisition.focus", acquisition.focus);
   section.choice("falloff", acquisition.falloff);

@@ -89,6 +89,7 @@ struct Acquisition {
   std::optional<NoiseInput> noise;           ///< absent: estimated
   std::optional<FlashInput> flash;           ///< absent: no flash
   std::optional<FocusInput> focus;           ///< absent: taken as sharp everywhere
+  std::optional<int> binning;                ///< side of the cells of pixels that become one, 1 .. 64; absent: as the cloud samples the photograph
   std::vector<ReferenceInput> references;
   AmbientModel ambient = AmbientModel::kAuto;
   FalloffModel falloff = FalloffModel::kAuto;

@@ -21,6 +21,7 @@ Json json_of(const Acquisition& acquisition) {
     out["flash"] = Json{{"offset_in_camera", {offset.x(), offset.y(), offset.z()}}, {"intensity_range", nullptr}};
     if (acquisition.flash->intensity_range) out["flash"]["intensity_range"] = *acquisition.flash->intensity_range;
   }
+  if (acquisition.binning) out["binning"] = *acquisition.binning;
   if (acquisition.focus) out["focus"] = {{"distance", acquisition.focus->distance}, {"f_number", acquisition.focus->f_number}, {"focal_length", acquisition.focus->focal_length}};
   out["falloff"] = name_of(acquisition.falloff);
   out["ambient"] = Json{{"model", name_of(acquisition.ambient)}, {"floor", name_of(acquisition.floor)}};

@@ -11,6 +11,7 @@
 #include "stream/base/hash.h"
 #include "stream/base/report.h"
 #include "stream/photo/camera.h"
+#include "stream/photo/develop.h"
 #include "tools/progress_log.h"
 #include "tools/project.h"
 #include "tools/run_folder.h"
@@ -22,7 +23,9 @@ namespace chiaro::tools {
 struct Photo {
   const PhotographInput* input = nullptr;
   std::size_t index_in_acquisition = 0;   ///< of the project, for references
-  stream::Camera camera;
+  stream::Camera camera;                  ///< once developed: of the working image
+  stream::PictureSize size;               ///< of the picture; 0 where it cannot be read
+  int binning = 1;                        ///< side of the cells of the picture's pixels that are pixels of the working image
   optimize::PixelNoise noise;
   std::size_t index_in_lights = 0;        ///< among all photographs that share their lights
   std::string radiance_key, gbuffer_key, albedo_key;

@@ -52,6 +52,7 @@ class LayerStages {
 
   void blend(const stream::Store& store) {
     std::vector<blend::BlendPhotograph> photographs;
+    std::vector<int> cells_px;
     blend::BlendOptions options;
     Hasher h = keyed("blend 10");
     h.add(store.manifest().key);
@@ -59,6 +60,7 @@ class LayerStages {
       for (const Photo& p : shoot.photos) {
         if (p.albedo_key.empty()) continue;   // without flash
         photographs.push_back({p.input->key, p.camera, run_.folder.gbuffer(p.input->key), run_.folder.albedo(p.input->key), run_.folder.radiance(p.input->key)});
+        cells_px.push_back(p.binning);
         h.add(p.albedo_key).add(p.input->key);
       }
     h.add(std::uint64_t{run_.project.blend.reject}).add(static_cast<std::uint64_t>(run_.project.blend.gain)).add(std::uint64_t{run_.project.blend.align}).add(std::uint64_t{denoises()});
@@ -78,7 +80,7 @@ class LayerStages {
       options.provenance_json = Json{{"method", name_of(run_.project.method)}, {"key", layer_key_}, {"photographs", photographs.size()}, {"acquisitions", acquisitions()}}.dump();
       make_folder(run_.folder.scratch());
       const blend::BlendStats s = blend::blend(store, photographs, options, run_.folder.scratch(), run_.budget, run_.report);
-      return Json::parse(blend_record_json(s, photographs));
+      return Json::parse(blend_record_json(s, photographs, cells_px));
     });
     if (info["points_seen"] == 0)
       throw Error(concat("no point of the cloud is seen by any photograph from its front, near enough and inside masks: ", kNothingSeenHint));

@@ -5,7 +5,10 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "stream/base/budget.h"
+#include "stream/base/disk_space.h"
 #include "stream/base/error.h"
+#include "stream/base/file.h"
 #include "stream/photo/camera_files.h"
 #include "stream/photo/develop.h"
 #include "surfels/gbuffer.h"
@@ -157,20 +160,59 @@ void PhotographStages::tell_development_notes() {
   development_notes_.clear();
 }
 
+void PhotographStages::plan() {
+  // Rasters of radiance; of what a pixel sees, and with a flash of its light; of albedo. Pictures for the user are compressed.
+  constexpr std::uint64_t kOfAny = 13 + 42, kOfFlash = 20, kOfAlbedo = 32;
+  const bool solves = run_.project.method != SolveMethod::kNone;
+  std::uint64_t bytes = 0, photographs = 0;
+  for (Shoot& shoot : shoots_)
+    for (Photo& photo : shoot.photos) {
+      try {
+        photo.size = stream::working_size(photo.input->file, develop_encoding(shoot.acquisition->encoding));
+      } catch (const Error&) {
+        continue;   // what is wrong with it is said when it is developed
+      }
+      photo.binning = binning_of(*shoot.acquisition, photo);
+      const std::uint64_t pixels = static_cast<std::uint64_t>(photo.size.width_px / photo.binning) * static_cast<std::uint64_t>(photo.size.height_px / photo.binning);
+      bytes += pixels * (kOfAny + (solves && shoot.has_flash() ? kOfFlash : 0) + (shoot.has_flash() || !solves ? kOfAlbedo : 0));
+      ++photographs;
+    }
+  run_.report.note(concat(photographs, photographs == 1 ? " photograph: " : " photographs: ", format_bytes(bytes), " of disk for what is kept of ", photographs == 1 ? "its" : "their", " pixels"));
+  require_disk_space(run_.folder.work(), "what is kept of the photographs' pixels", bytes, free_disk_bytes(run_.folder.root) + bytes_there());
+}
+
+std::uint64_t PhotographStages::bytes_there() const {
+  std::uint64_t bytes = 0;
+  for (const Shoot& shoot : shoots_)
+    for (const Photo& photo : shoot.photos)
+      for (const auto& file : {run_.folder.radiance(photo.input->key), run_.folder.gbuffer(photo.input->key), run_.folder.albedo(photo.input->key)}) bytes += allocated_bytes(file);
+  return bytes;
+}
+
+int PhotographStages::binning_of(const Acquisition& a, const Photo& photo) const {
+  if (a.binning) return *a.binning;
+  if (run_.project.blend.refine == BlendRefine::kImage) return 1;   // which asks for each pixel
+  const auto [width, height] = photo.size;
+  return surfels::cell_for(spacing_.spacing_px(photo.camera) * width / photo.camera.lens.width_px, width, height);
+}
+
 void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
   const PhotographInput& p = *photo.input;
   const std::string fingerprint = file_fingerprint(p.file);
+  const stream::PictureSize& size = photo.size;
   Hasher h = keyed("develop");
   h.add(fingerprint).add(static_cast<std::uint64_t>(a.encoding));
   h.add(p.mask.empty() ? std::string("-") : file_fingerprint(p.mask));
   h.add(a.noise ? a.noise->gain : -1.0).add(a.noise ? a.noise->read_sigma : -1.0);
   h.add(std::uint64_t{run_.project.method != SolveMethod::kNone});
+  if (photo.binning > 1) h.add("cells").add(static_cast<std::uint64_t>(photo.binning));
   photo.radiance_key = h.hex();
   const Json info = run_.task("develop/" + p.key, photo.radiance_key, {run_.folder.radiance(p.key)}, [&] {
     stream::DevelopOptions options;
     options.encoding = develop_encoding(a.encoding);
     if (!p.mask.empty()) options.mask = p.mask;
     options.find_clipping = run_.project.method != SolveMethod::kNone;   // there a picture is the colour itself, and may be of one
+    options.cell_px = photo.binning;
     if (a.noise) options.noise = stream::NoiseModel{a.noise->gain, a.noise->read_sigma, false};
     const stream::DevelopResult r = stream::develop(p.file, options, run_.folder.radiance(p.key), run_.report);
     return Json{{"width", r.width_px}, {"height", r.height_px}, {"noise_gain", r.noise.gain}, {"noise_read_sigma", r.noise.read_sigma}, {"noise_estimated", r.noise.estimated},
@@ -187,13 +229,15 @@ void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
   if (!p.mask.empty()) pixels_left_by_mask_[p.key] = info["pixels_used"];
   photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
   const stream::Lens& lens = photo.camera.lens;
-  const int width = info["width"], height = info["height"];
-  if ((width != lens.width_px || height != lens.height_px) && a.encoding != Encoding::kRaw)   // of RAW, cells of 2 x 2 are pixels
-    development_notes_[concat(width, " x ", height, " pixels where the camera is of ", lens.width_px, " x ", lens.height_px, ": taken as a scaled copy of all of it")].push_back(p.file.filename().string());
-  photo.camera.lens = stream::scaled_to(photo.camera.lens, info["width"], info["height"], p.file.string());
+  if ((size.width_px != lens.width_px || size.height_px != lens.height_px) && a.encoding != Encoding::kRaw)   // of RAW, cells of 2 x 2 are pixels
+    development_notes_[concat(size.width_px, " x ", size.height_px, " pixels where the camera is of ", lens.width_px, " x ", lens.height_px, ": taken as a scaled copy of all of it")].push_back(p.file.filename().string());
+  photo.camera.lens = stream::lens_of_cells(stream::scaled_to(lens, size.width_px, size.height_px, p.file.string()), photo.binning);
+  if (photo.binning > 1 && !a.binning)
+    development_notes_[concat("the points of the cloud lie ", 4 * photo.binning, " pixels apart and more: cells of ", photo.binning, " x ", photo.binning, " pixels are taken as one. binning = 1 in the acquisition takes each by itself, at ",
+                              photo.binning * photo.binning, " times the time and disk")].push_back(p.file.filename().string());
 }
 
-void PhotographStages::raycast(const stream::Store& store, Shoot& shoot) {
+void PhotographStages::raycast(Shoot& shoot) {
   const Acquisition& a = *shoot.acquisition;
   std::vector<Photo> kept;
   for (Photo& photo : shoot.photos) {
@@ -201,7 +245,7 @@ void PhotographStages::raycast(const stream::Store& store, Shoot& shoot) {
     if (run_.project.method != SolveMethod::kNone && shoot.has_flash()) options.flash_in_camera = a.flash->offset_in_camera;
     options.mask_raster = run_.folder.radiance(photo.input->key);
     Hasher h = keyed("raycast");
-    h.add(store.manifest().key).add(photo.radiance_key);
+    h.add(store_.manifest().key).add(photo.radiance_key);
     add_camera(h, photo.camera);
     h.add(static_cast<std::uint64_t>(options.subpixels)).add(options.cut.pixel_error);
     h.add(options.flash_in_camera ? std::uint64_t{1} : std::uint64_t{0});
@@ -209,7 +253,7 @@ void PhotographStages::raycast(const stream::Store& store, Shoot& shoot) {
       for (int i = 0; i < 3; ++i) h.add((*options.flash_in_camera)[i]);
     photo.gbuffer_key = h.hex();
     const Json info = run_.task("raycast/" + photo.input->key, photo.gbuffer_key, {run_.folder.gbuffer(photo.input->key)}, [&] {
-      const surfels::GBufferStats s = surfels::write_gbuffer(store, photo.camera, options, run_.folder.gbuffer(photo.input->key), run_.budget, run_.report);
+      const surfels::GBufferStats s = surfels::write_gbuffer(store_, photo.camera, options, run_.folder.gbuffer(photo.input->key), run_.budget, run_.report);
       return Json{{"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_hit_in_mask", s.pixels_hit_in_mask}, {"pixels_from_behind", s.pixels_from_behind}, {"rays", s.rays}, {"shadow_rays", s.shadow_rays}, {"surfels", s.surfels},
                   {"chunks", s.chunks}, {"chunks_hidden", s.chunks_hidden}, {"tiles", s.tiles}};
     });

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "stream/store/store.h"
+#include "surfels/sampling.h"
 
 namespace chiaro::tools {
 
@@ -20,10 +21,12 @@ std::vector<Shoot> read_shoots(RunContext& run);
 /// Photographs that turn out to be of no use are taken out of their shoot and named. throws Error where none is left in any.
 class PhotographStages {
  public:
-  PhotographStages(RunContext& run, std::vector<Shoot>& shoots) : run_(run), shoots_(shoots) {}
+  PhotographStages(RunContext& run, const stream::Store& store, std::vector<Shoot>& shoots) : run_(run), store_(store), shoots_(shoots), spacing_(store) {}
 
+  /// By which cells each photograph is read, and whether the disk has room for what is kept of their pixels: announced, and throws Error where it has not.
+  void plan();
   void develop(Shoot& shoot);
-  void raycast(const stream::Store& store, Shoot& shoot);
+  void raycast(Shoot& shoot);
   /// Points are seen from their front alone. Where a scan's normals point inwards all of it stays unseen.
   void note_backs();
   /// Masks outline the object. Where they leave little of it and much else, they may be meant the other way round.
@@ -31,11 +34,15 @@ class PhotographStages {
 
  private:
   void develop_one(const Acquisition& a, Photo& photo);
+  int binning_of(const Acquisition& a, const Photo& photo) const;
+  std::uint64_t bytes_there() const;
   /// What is said of many photographs alike is said once.
   void tell_development_notes();
 
   RunContext& run_;
+  const stream::Store& store_;
   std::vector<Shoot>& shoots_;
+  const surfels::SpacingSamples spacing_;
   std::map<std::string, std::vector<std::string>> development_notes_;   ///< and the files of which they are said
   std::uint64_t pixels_on_cloud_ = 0, pixels_from_behind_ = 0;
   std::map<std::string, std::uint64_t> pixels_left_by_mask_;            ///< of each photograph that has a mask

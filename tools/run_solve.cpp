@@ -50,6 +50,13 @@ optimize::FalloffModel falloff_model(FalloffModel m) {
   return optimize::FalloffModel::kAuto;
 }
 
+/// In pixels of the working image.
+std::vector<Vec2d> outline_of(const ReferenceInput& reference, const Photo& photo) {
+  std::vector<Vec2d> outline = reference.polygon;
+  for (Vec2d& p : outline) p /= photo.binning;
+  return outline;
+}
+
 /// Targets that are not there, or in part.
 void note_references(RunContext& run, const Shoot& shoot) {
   for (const ReferenceInput& r : shoot.acquisition->references) {
@@ -60,8 +67,9 @@ void note_references(RunContext& run, const Shoot& shoot) {
     }
     const stream::Lens& lens = photo->camera.lens;
     const auto outside = [&](const Vec2d& p) { return !(p.x() >= 0 && p.y() >= 0 && p.x() <= lens.width_px && p.y() <= lens.height_px); };
-    if (std::any_of(r.polygon.begin(), r.polygon.end(), outside))
-      run.note_both(concat(photo->input->key, ": the reference target reaches beyond the picture (", lens.width_px, " x ", lens.height_px, " pixels), only its part inside is used; is its outline that of this picture?"));
+    const std::vector<Vec2d> outline = outline_of(r, *photo);
+    if (std::any_of(outline.begin(), outline.end(), outside))
+      run.note_both(concat(photo->input->key, ": the reference target reaches beyond the picture (", lens.width_px * photo->binning, " x ", lens.height_px * photo->binning, " pixels), only its part inside is used; is its outline that of this picture?"));
   }
 }
 
@@ -83,7 +91,7 @@ optimize::AcquisitionInput acquisition_input(RunContext& run, std::vector<Shoot>
     for (Photo& photo : shoot->photos) {
       photo.index_in_lights = input.photographs.size();
       for (const ReferenceInput& r : shoot->acquisition->references)
-        if (r.photograph == photo.index_in_acquisition) input.references.push_back({photo.index_in_lights, r.polygon, r.albedo, r.sigma});
+        if (r.photograph == photo.index_in_acquisition) input.references.push_back({photo.index_in_lights, outline_of(r, photo), r.albedo, r.sigma});
       input.photographs.push_back(run.observe_input(*shoot, photo));
       input.names.push_back(photo.input->key);
       run.record.count(shoot->has_flash() ? "photographs_with_flash" : "photographs_without_flash", 1);

@@ -308,4 +308,12 @@ Lens scaled_to(const Lens& lens, int width_px, int height_px, const std::string&
   return out;
 }
 
+Lens lens_of_cells(const Lens& lens, int cell_px) {
+  Lens out = lens;
+  out.width_px /= cell_px;
+  out.height_px /= cell_px;
+  for (double* v : {&out.fx, &out.fy, &out.cx, &out.cy, &out.skew}) *v /= cell_px;
+  return out;
+}
+
 }  // namespace chiaro::stream

@@ -79,4 +79,7 @@ void check_camera(Camera& camera, const std::string& where);
 /// not in one proportion, but for rounding to pixels, or that differ by less than 2 %, as borders and crops do (nobody makes such copies).
 Lens scaled_to(const Lens& lens, int width_px, int height_px, const std::string& where);
 
+/// The same lens for whole cells of cell_px x cell_px pixels that become one each, from the upper left corner on.
+Lens lens_of_cells(const Lens& lens, int cell_px);
+
 }  // namespace chiaro::stream

@@ -3,10 +3,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <deque>
 #include <limits>
 #include <memory>
 
 #include "stream/base/error.h"
+#include "stream/photo/cells.h"
 #include "stream/photo/image_io.h"
 #include "stream/photo/noise.h"
 #include "stream/photo/plateau.h"
@@ -271,30 +273,111 @@ void find_clipping(Source& source, std::optional<MaskSource>& mask, Reporter& re
     if (const std::optional<float> level = finders[c].level(); level && static_cast<double>(*level) >= kLeastCodes * source.quantum) source.clipped[c] = level;
 }
 
-void count(DevelopResult& result, const std::vector<std::uint8_t>& mask) {
-  for (const std::uint8_t m : mask) {
-    result.pixels_used += m == kUsableByMask;
-    result.pixels_masked += !(m & kUsableByMask);
-    result.pixels_saturated += (m & kSaturated) != 0;
-    result.pixels_not_finite += (m & kNotFinite) != 0;
+/// What becomes of a picture: each of its pixels, or cells of them. Colours come by bands, and flags by rows, some rows later.
+class WorkingImage {
+ public:
+  WorkingImage(const fs::path& raster, const fs::path& photograph, const Source& source, const DevelopOptions& options)
+      : source_(source), options_(options), cell_px_(options.cell_px), cells_(source.width, cell_px_),
+        writer_(raster, whole_cells(source.width, photograph), whole_cells(source.height, photograph), {{"r", PlaneType::kF32}, {"g", PlaneType::kF32}, {"b", PlaneType::kF32}, {"mask", PlaneType::kU8}}),
+        estimator_(writer_.width(), writer_.height()) {
+    result_.width_px = writer_.width();
+    result_.height_px = writer_.height();
+    result_.notes = source.notes;
+    start_band(0);
   }
-}
 
-void set_noise(DevelopResult& result, const DevelopOptions& options, const NoiseEstimator& estimator, const Source& source) {
-  if (options.noise) {
-    result.noise = *options.noise;
-    return;
+  void add(const Band& band) {
+    if (cell_px_ == 1) return write_colours(band);
+    const auto width = static_cast<std::size_t>(source_.width);
+    for (std::size_t y = 0; y < static_cast<std::size_t>(band.rows); ++y) {
+      Row& row = waiting_.emplace_back();
+      for (std::size_t c = 0; c < 3; ++c) row[c].assign(band.rgb[c].begin() + static_cast<std::ptrdiff_t>(y * width), band.rgb[c].begin() + static_cast<std::ptrdiff_t>((y + 1) * width));
+    }
   }
-  // Rounding to codes is noise that flat areas hide.
-  const double floor = std::max(source.quantum / std::sqrt(12.0), 1e-6);
-  if (const auto fitted = estimator.fit()) {
-    result.noise = *fitted;
-  } else {
-    result.noise = {0, 0.01, true};
-    result.notes.push_back("too few plain areas to estimate its noise; a standard deviation of 0.01 is assumed");
+
+  void add_flags(int row, const std::vector<std::uint8_t>& flags) {
+    if (cell_px_ == 1) return write_flags(row, flags);
+    const Row& colours = waiting_.front();
+    if (cells_.push({colours[0], colours[1], colours[2]}, flags)) add_cells();
+    waiting_.pop_front();
   }
-  result.noise.read_sigma = std::max(result.noise.read_sigma, floor);
-}
+
+  DevelopResult commit() {
+    writer_.commit();
+    return result_;
+  }
+
+  void set_noise(DevelopResult& result) const {
+    const double pixels = cell_px_ * cell_px_;   // the mean of as many varies by less
+    if (options_.noise) {
+      result.noise = *options_.noise;
+      result.noise.gain /= pixels;
+      result.noise.read_sigma /= cell_px_;
+      return;
+    }
+    // Rounding to codes is noise that flat areas hide.
+    const double floor = std::max(source_.quantum / std::sqrt(12.0 * pixels), 1e-6);
+    if (const auto fitted = estimator_.fit()) {
+      result.noise = *fitted;
+    } else {
+      result.noise = {0, 0.01, true};
+      result.notes.push_back("too few plain areas to estimate its noise; a standard deviation of 0.01 is assumed");
+    }
+    result.noise.read_sigma = std::max(result.noise.read_sigma, floor);
+  }
+
+ private:
+  using Row = std::array<std::vector<float>, 3>;
+
+  int whole_cells(int pixels, const fs::path& photograph) const {
+    if (pixels < cell_px_) throw Error(concat(photograph.string(), ": is ", source_.width, " x ", source_.height, " pixels, less than one cell of ", cell_px_, " x ", cell_px_, " pixels"));
+    return pixels / cell_px_;
+  }
+
+  void write_colours(const Band& band) {
+    if (!options_.noise) estimator_.add_band(band.y0, band.rows, band.rgb, usable(band));
+    constexpr std::array<const char*, 3> kPlanes = {"r", "g", "b"};
+    for (std::size_t c = 0; c < 3; ++c) writer_.write_rows(kPlanes[c], band.y0, std::span<const float>(band.rgb[c]));
+  }
+
+  void write_flags(int row, const std::vector<std::uint8_t>& flags) {
+    writer_.write_rows("mask", row, std::span<const std::uint8_t>(flags));
+    for (const std::uint8_t m : flags) {
+      result_.pixels_used += m == kUsableByMask;
+      result_.pixels_masked += !(m & kUsableByMask);
+      result_.pixels_saturated += (m & kSaturated) != 0;
+      result_.pixels_not_finite += (m & kNotFinite) != 0;
+    }
+  }
+
+  void start_band(int y0) {
+    band_.y0 = y0;
+    band_.rows = 0;
+    for (auto& plane : band_.rgb) plane.clear();
+    band_.flags.clear();
+  }
+
+  // The row of cells that is complete.
+  void add_cells() {
+    for (std::size_t c = 0; c < 3; ++c) band_.rgb[c].insert(band_.rgb[c].end(), cells_.rgb(c).begin(), cells_.rgb(c).end());
+    band_.flags.insert(band_.flags.end(), cells_.flags().begin(), cells_.flags().end());
+    write_flags(band_.y0 + band_.rows, cells_.flags());
+    ++band_.rows;
+    if (band_.rows < kBandRows && band_.y0 + band_.rows < writer_.height()) return;
+    write_colours(band_);
+    start_band(band_.y0 + band_.rows);
+  }
+
+  const Source& source_;
+  const DevelopOptions& options_;
+  const int cell_px_;
+  Cells cells_;
+  RasterWriter writer_;
+  NoiseEstimator estimator_;
+  DevelopResult result_;
+  Band band_;                  ///< rows of cells that are complete
+  std::deque<Row> waiting_;    ///< rows of the picture whose flags are not known yet
+};
 
 }  // namespace
 
@@ -305,19 +388,22 @@ Encoding encoding_from_name(const std::string& name) {
   throw UsageError(concat("encoding \"", name, "\" is not known, expected linear, srgb or raw"));
 }
 
+PictureSize working_size(const fs::path& photograph, Encoding encoding) {
+  if (encoding == Encoding::kRaw) {
+    const auto [width, height] = RawSource::size_px(photograph);
+    return {width, height};
+  }
+  const ImageSource image(photograph);
+  return {image.width(), image.height()};
+}
+
 DevelopResult develop(const fs::path& photograph, const DevelopOptions& options, const fs::path& out_raster, Reporter& reporter) {
-  if (!(options.saturation > 0) || options.dilate_px < 0 || options.dilate_px > 64 || (options.white && !(*options.white > 0)))
-    throw std::invalid_argument("develop: saturation and white must be positive, dilate_px 0 to 64");
+  if (!(options.saturation > 0) || options.dilate_px < 0 || options.dilate_px > 64 || (options.white && !(*options.white > 0)) || options.cell_px < 1 || options.cell_px > 64)
+    throw std::invalid_argument("develop: saturation and white must be positive, dilate_px 0 to 64, cell_px 1 to 64");
   const std::unique_ptr<Source> source = open_source(photograph, options);
-  DevelopResult result;
-  result.width_px = source->width;
-  result.height_px = source->height;
-  result.notes = source->notes;
   std::optional<MaskSource> mask;
   if (options.mask) mask.emplace(*options.mask, photograph, source->width, source->height);
-
-  RasterWriter writer(out_raster, source->width, source->height, {{"r", PlaneType::kF32}, {"g", PlaneType::kF32}, {"b", PlaneType::kF32}, {"mask", PlaneType::kU8}});
-  NoiseEstimator estimator(source->width, source->height);
+  WorkingImage image(out_raster, photograph, *source, options);
   RowDilation dilation(source->width, source->height, source->dilate ? options.dilate_px : 0);
   reporter.begin(concat("develop ", photograph.filename().string()), static_cast<std::uint64_t>(source->height), "rows");
   if (options.find_clipping && source->white_unknown) find_clipping(*source, mask, reporter);
@@ -326,23 +412,19 @@ DevelopResult develop(const fs::path& photograph, const DevelopOptions& options,
   for (int y0 = 0; y0 < source->height; y0 += kBandRows) {
     reporter.check();
     read_band(*source, mask, y0, band);
-    if (!options.noise) estimator.add_band(band.y0, band.rows, band.rgb, usable(band));
     clipped += static_cast<std::uint64_t>(std::count(band.flags.begin(), band.flags.end(), kUsableByMask | kSaturated));
-    constexpr std::array<const char*, 3> kPlanes = {"r", "g", "b"};
-    for (std::size_t c = 0; c < 3; ++c) writer.write_rows(kPlanes[c], band.y0, std::span<const float>(band.rgb[c]));
+    image.add(band);
     for (int y = 0; y < band.rows; ++y)
-      dilation.push(band.flags.data() + static_cast<std::size_t>(y) * static_cast<std::size_t>(source->width), [&](int row, const std::vector<std::uint8_t>& flags) {
-        writer.write_rows("mask", row, std::span<const std::uint8_t>(flags));
-        count(result, flags);
-      });
+      dilation.push(band.flags.data() + static_cast<std::size_t>(y) * static_cast<std::size_t>(source->width),
+                    [&](int row, const std::vector<std::uint8_t>& flags) { image.add_flags(row, flags); });
     reporter.progress(static_cast<std::uint64_t>(band.y0 + band.rows));
   }
-  writer.commit();
+  DevelopResult result = image.commit();
   if (clipped > 0 && std::any_of(source->clipped.begin(), source->clipped.end(), [](const auto& level) { return level.has_value(); }))
     result.notes.push_back(concat(photograph.filename().string(), ": ", clipped, " pixels share the brightest value of the file: taken as clipped, they count as saturated"));
   if (mask && mask->brightest() < 0.5f)
     result.notes.push_back(concat("its mask leaves nothing: white is what is used, and the brightest place of the mask is ", std::lround(255 * mask->brightest()), " of 255"));
-  set_noise(result, options, estimator, *source);
+  image.set_noise(result);
   reporter.end();
   return result;
 }

@@ -24,6 +24,12 @@ enum class Encoding {
   kRaw,     ///< camera RAW: see raw.h; the result has half the sensor's width and height
 };
 
+struct PictureSize {
+  int width_px = 0, height_px = 0;
+};
+/// Of the working image that develop() makes with cells of one pixel, from the head of the file alone. throws Error.
+PictureSize working_size(const std::filesystem::path& photograph, Encoding encoding);
+
 /// "linear", "srgb", "raw". throws UsageError.
 Encoding encoding_from_name(const std::string& name);
 
@@ -42,10 +48,11 @@ struct DevelopOptions {
   std::optional<double> white;                ///< white level in the file's values; default 1 for integer files and RAW (largest code, the camera's white), none for floats
   bool find_clipping = false;                 ///< floats without a white level, and linear values of 16 bits, which often hold 12 or 14 of a sensor: a plateau at the brightest value of a channel (plateau.h) counts as saturated; reads the file twice
   int dilate_px = 2;                          ///< around saturated pixels of RAW and 8-bit files, where sharpening and blooming reach
+  int cell_px = 1;                            ///< 1 to 64: cells of that many pixels a side become one each (cells.h); the mask, `noise` and dilate_px are of the pixels before
 };
 
 struct DevelopResult {
-  int width_px = 0, height_px = 0;
+  int width_px = 0, height_px = 0;   ///< of the working image: whole cells; all that is counted below are cells, too
   NoiseModel noise;
   std::uint64_t pixels_used = 0;  ///< allowed by the mask, not saturated, finite
   std::uint64_t pixels_masked = 0, pixels_saturated = 0, pixels_not_finite = 0;  ///< each counted by itself
@@ -55,7 +62,7 @@ struct DevelopResult {
 /// Writes a raster (raster.h) with f32 planes "r", "g", "b" and u8 plane "mask". Grey pictures give three equal planes. Where the alpha of a photograph varies, pixels that
 /// are not opaque hold no data (undistorted pictures have such borders).
 ///
-/// throws   Error: unreadable photograph, mask missing or of another size (both named), float picture declared sRGB; Cancelled.
+/// throws   Error: unreadable photograph, mask missing or of another size (both named), float picture declared sRGB, fewer pixels than a cell has; Cancelled.
 /// threads  serial; several photographs may be developed at once. The same bytes each time.
 DevelopResult develop(const std::filesystem::path& photograph, const DevelopOptions& options, const std::filesystem::path& out_raster, Reporter& reporter);
 

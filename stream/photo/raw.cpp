@@ -47,7 +47,7 @@ struct RawSource::Impl {
     if (errors.any) fail(what, ": pixel data is damaged or ends early near offset ", errors.offset);
   }
 
-  void unpack() {
+  void open(bool with_pixels) {
     File readable(path, File::Mode::kRead);
     raw->set_dataerror_handler(on_data_error, &errors);
 #if LIBRAW_MAJOR_VERSION > 0 || LIBRAW_MINOR_VERSION > 20
@@ -59,7 +59,7 @@ struct RawSource::Impl {
       check(raw->open_file(path.c_str()), "not readable as camera RAW");
       const libraw_image_sizes_t& s = raw->imgdata.sizes;
       if (std::uint64_t{s.raw_width} * s.raw_height > (std::uint64_t{1} << 29)) fail("claims ", s.raw_width, " x ", s.raw_height, " pixels");
-      check(raw->unpack(), "pixels cannot be unpacked");
+      if (with_pixels) check(raw->unpack(), "pixels cannot be unpacked");
     } catch (const Error&) {
       throw;
     } catch (const std::exception& error) {
@@ -146,7 +146,7 @@ struct RawSource::Impl {
 
 RawSource::RawSource(const std::filesystem::path& path) : impl_(std::make_unique<Impl>()) {
   impl_->path = path;
-  impl_->unpack();
+  impl_->open(true);
   impl_->check_mosaic();
   impl_->read_sizes();
   impl_->read_levels();
@@ -154,6 +154,14 @@ RawSource::RawSource(const std::filesystem::path& path) : impl_(std::make_unique
 RawSource::RawSource(RawSource&&) noexcept = default;
 RawSource::~RawSource() = default;
 const RawInfo& RawSource::info() const { return impl_->info; }
+
+std::array<int, 2> RawSource::size_px(const std::filesystem::path& path) {
+  Impl impl;
+  impl.path = path;
+  impl.open(false);
+  const libraw_image_sizes_t& s = impl.raw->imgdata.sizes;
+  return {s.width / 2, s.height / 2};
+}
 
 void RawSource::read_rows(int y0, int rows, double saturation, float* rgb, std::uint8_t* saturated) const {
   const Impl& impl = *impl_;

@@ -1,5 +1,6 @@
 /// Camera RAW to linear sensor values, without any of the automatic steps a converter takes.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -27,6 +28,8 @@ class RawSource {
   RawSource(RawSource&&) noexcept;
   ~RawSource();
   const RawInfo& info() const;
+  /// Width and height of the half-size picture as the head of a file gives them, without its pixels. throws Error: not a RAW file.
+  static std::array<int, 2> size_px(const std::filesystem::path& path);
   /// rgb: rows * width * 3 floats. saturated: rows * width flags, 1 where any of the four raw values reaches `saturation` times white.
   void read_rows(int y0, int rows, double saturation, float* rgb, std::uint8_t* saturated) const;
 

@@ -75,6 +75,34 @@ TEST_F(Run, FindsAlbedoAndLightsOfAPaintedSphere) {
   EXPECT_NEAR(lights["ambient"].get<double>(), s.options.ambient_radiance, 0.05 * s.options.ambient_radiance);
 }
 
+TEST_F(Run, ReadsPhotographsByCellsOfPixels) {
+  // Points ten pixels apart and more. The scale is that of the reference target, whose outline is in pixels of the file.
+  TinySceneOptions options;
+  options.width_px = 578;
+  options.height_px = 434;
+  options.focal_px = 660;
+  options.write_range = false;
+  options.reference = true;
+  const TinyScene s = scene(options);
+  const auto width = [&](const std::string& out) { return json(out + "/work/cameras.json").at("cameras").at(0).at("lens").at("size").at(0).get<int>(); };
+  const ProcessResult ran = run("out", {"--set", "acquisition.binning=4"});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("beyond the picture")));
+  EXPECT_EQ(width("out"), 144);
+  const AlbedoError cells = albedo_error(read_ply(at("out/albedo.ply")), s.albedo);
+  EXPECT_LE(cells.absolute, kMaxAbsolute);
+  // Each pixel by itself, which is what `auto` does with pictures as small as these.
+  ASSERT_EQ(run("all").code, 0);
+  EXPECT_EQ(width("all"), 578);
+  const AlbedoError pixels = albedo_error(read_ply(at("all/albedo.ply")), s.albedo);
+  EXPECT_LE(pixels.absolute, kMaxAbsolute);
+  EXPECT_NEAR(cells.absolute, pixels.absolute, 0.003);
+  EXPECT_NEAR(static_cast<double>(cells.seen), static_cast<double>(pixels.seen), 0.02 * static_cast<double>(pixels.seen));
+  // In the same folder what depends on the pixels is made anew, with the same bytes as in a new one.
+  ASSERT_EQ(run("all", {"--set", "acquisition.binning=4"}).code, 0);
+  EXPECT_EQ(results("all"), results("out"));
+}
+
 /// Intensities are W/sr and radiances per square metre in any project: lengths alone change with the unit. Measured: albedo 3e-5, lights 1e-5, view 2e-4 apart, by rounding.
 class RunInUnit : public RunTest, public testing::WithParamInterface<const char*> {};
 

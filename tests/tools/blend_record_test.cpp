@@ -8,12 +8,12 @@ namespace chiaro::tools {
 namespace {
 
 /// The notes on one photograph.
-std::vector<std::string> notes_on(const blend::PhotographStats& photograph) {
+std::vector<std::string> notes_on(const blend::PhotographStats& photograph, int cell_px = 1) {
   blend::BlendStats stats;
   stats.photographs = {photograph};
   blend::BlendPhotograph named;
   named.name = "a.exr";
-  return nlohmann::json::parse(blend_record_json(stats, std::span(&named, 1))).at("notes").get<std::vector<std::string>>();
+  return nlohmann::json::parse(blend_record_json(stats, std::span(&named, 1), std::span(&cell_px, 1))).at("notes").get<std::vector<std::string>>();
 }
 
 TEST(BlendRecord, WhatIsDoneToAPhotographIsSaid) {
@@ -34,6 +34,17 @@ TEST(BlendRecord, WhatIsDoneToAPhotographIsSaid) {
   p.alignment = blend::alignment_for(p.inspection);
   ASSERT_EQ(notes_on(p).size(), 1u);
   EXPECT_EQ(notes_on(p)[0], "a.exr: shows the surface 5 pixels beside where its camera puts it; its weight is reduced");
+}
+
+TEST(BlendRecord, PlacesAreThoseOfThePictureWhereCellsOfItWereRead) {
+  blend::PhotographStats p;
+  p.inspection.shift_px = Vec2f(3, 0);
+  p.alignment = blend::alignment_for(p.inspection);
+  p.inspection.disturbed = blend::Inspection::Region{10, 20, 30, 40};
+  const std::vector<std::string> notes = notes_on(p, 4);
+  ASSERT_EQ(notes.size(), 2u);
+  EXPECT_EQ(notes[0], "a.exr: shows the surface 12 pixels beside where its camera puts it; corrected in the blend");
+  EXPECT_EQ(notes[1], "a.exr: pixels 40 to 120 across and 80 to 160 down show something else than the other photographs; left out there");
 }
 
 }  // namespace

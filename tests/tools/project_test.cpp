@@ -160,7 +160,7 @@ TEST_F(ProjectTest, ReadsEveryKey) {
   const Acquisition& night = p.acquisitions[1];
   EXPECT_EQ(night.role, AcquisitionRole::kNoFlash);
   EXPECT_EQ(night.encoding, Encoding::kLinear) << "by the extension";
-  EXPECT_FALSE(night.flash || night.noise || night.focus);
+  EXPECT_FALSE(night.flash || night.noise || night.focus || night.binning);
   EXPECT_EQ(night.photographs[0].key, "night.photo_1");
   EXPECT_EQ(day.exposure_s, 8e-3);
   EXPECT_EQ(night.exposure_s, 0.5);
@@ -257,6 +257,18 @@ TEST_F(ProjectTest, RefusesLensesThatCannotBe) {
   expect("f_number     = 8\n", "", "f_number");
   expect("distance     = 1500", "distance = 30", "a lens of focal length 35 cannot be focused at distance 30");
   expect("focal_length = 35", "focal = 35", "did you mean \"focal_length\"?");
+}
+
+TEST_F(ProjectTest, ReadsBinning) {
+  const auto with = [&](const char* binning) { return changed("exposure_s  = 8e-3\n", concat("exposure_s  = 8e-3\nbinning = ", binning, "\n").c_str()); };
+  EXPECT_EQ(load(kValid).acquisitions[0].binning, std::nullopt);
+  EXPECT_EQ(load(with("\"auto\"")).acquisitions[0].binning, std::nullopt);
+  EXPECT_EQ(load(with("4")).acquisitions[0].binning, 4);
+  const auto expect = [&](const char* binning, const char* message) { EXPECT_THAT(complaint(with(binning)), HasSubstr(message)) << binning; };
+  expect("\"none\"", "acquisition.binning: expected \"auto\" or a whole number from 1 to 64");
+  expect("2.5", "acquisition.binning: expected \"auto\" or a whole number from 1 to 64");
+  expect("0", "acquisition.binning: 0 is outside 1 .. 64");
+  expect("65", "acquisition.binning: 65 is outside 1 .. 64");
 }
 
 TEST_F(ProjectTest, RefusesLightsThatCannotBeShared) {

@@ -224,6 +224,16 @@ TEST(Camera, ScaledLensSeesTheSameRays) {
   EXPECT_NE(error_of([&] { scaled_to(lens, 0, 160, "a.jpg"); }), "");
 }
 
+TEST(Camera, ALensOfCellsSeesThemWhereTheirPixelsAre) {
+  const Lens lens = random_lens(1);
+  const Lens cells = lens_of_cells(lens, 7);
+  EXPECT_EQ(cells.width_px, lens.width_px / 7);
+  EXPECT_EQ(cells.height_px, lens.height_px / 7);
+  const auto pixel = project(lens, {0.1, -0.05, 1}), cell = project(cells, {0.1, -0.05, 1});
+  ASSERT_TRUE(pixel && cell);
+  EXPECT_LT((*pixel / 7 - *cell).norm(), 1e-10);
+}
+
 TEST(Camera, ALensIsNotScaledToWhatIsNoCopyOfItsPicture) {
   Lens lens = random_lens(1);
   lens.width_px = 6000;

@@ -513,5 +513,90 @@ TEST_F(Develop, RealFlashPhotographIsDeveloped) {
   if (std::getenv("CHIARO_TEST_VERBOSE")) std::printf("noise %g %g saturated %llu notes %zu %s\n", result.noise.gain, result.noise.read_sigma, static_cast<unsigned long long>(result.pixels_saturated), result.notes.size(), result.notes.empty() ? "" : result.notes[0].c_str());
 }
 
+TEST_F(Develop, CellsAreTheMeansOfWhatTheirPixelsDevelopTo) {
+  // 500 x 400 pixels of a ramp with noise, in cells of 3: 166 x 133, over more than one band of either.
+  const int width = 500, height = 400, cell = 3;
+  std::vector<float> values;
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x)
+      for (int c = 0; c < 3; ++c) values.push_back(0.2f + 0.0008f * static_cast<float>(x) + 0.01f * static_cast<float>(normal01(7, Purpose::kTest, values.size(), 0)));
+  write_exr(path("a.exr"), width, height, {"R", "G", "B"}, values, false);
+  DevelopOptions options;
+  options.white = 0.6;
+  const DevelopResult fine = run(path("a.exr"), options);
+  const auto green = raster().all<float>("g");
+  const auto mask = raster().all<std::uint8_t>("mask");
+  options.cell_px = cell;
+  const DevelopResult coarse = run(path("a.exr"), options);
+  ASSERT_EQ(coarse.width_px, 166);
+  ASSERT_EQ(coarse.height_px, 133);
+  const auto cells = raster().all<float>("g");
+  const auto cell_mask = raster().all<std::uint8_t>("mask");
+  std::uint64_t used = 0;
+  for (int y = 0; y < 133; ++y)
+    for (int x = 0; x < 166; ++x) {
+      double sum = 0;
+      int num = 0;
+      for (int k = 0; k < cell * cell; ++k) {
+        const auto at = static_cast<std::size_t>((y * cell + k / cell) * width + x * cell + k % cell);
+        if (mask[at] != kUsableByMask) continue;
+        sum += static_cast<double>(green[at]);
+        ++num;
+      }
+      const auto at = static_cast<std::size_t>(y * 166 + x);
+      ASSERT_EQ(cell_mask[at] == kUsableByMask, 2 * num >= cell * cell) << x << "," << y;
+      if (cell_mask[at] != kUsableByMask) continue;
+      ++used;
+      ASSERT_NEAR(cells[at], sum / num, 1e-6) << x << "," << y;
+    }
+  EXPECT_EQ(coarse.pixels_used, used);
+  EXPECT_GT(used, 166u * 133u / 2);
+  EXPECT_LT(used, 166u * 133u);
+  // The mean of nine varies by a third as much.
+  EXPECT_NEAR(fine.noise.variance(0.3), 1e-4, 2e-5);
+  EXPECT_NEAR(coarse.noise.variance(0.3), 1e-4 / 9, 3e-6);
+}
+
+TEST_F(Develop, NoiseThatIsGivenIsThatOfPixels) {
+  write_exr(path("a.exr"), 8, 8, {"R", "G", "B"}, std::vector<float>(8 * 8 * 3, 0.25f), false);
+  DevelopOptions options;
+  options.noise = NoiseModel{3.2e-4, 4e-3, false};
+  options.cell_px = 4;
+  const DevelopResult result = run(path("a.exr"), options);
+  EXPECT_DOUBLE_EQ(result.noise.gain, 3.2e-4 / 16);
+  EXPECT_DOUBLE_EQ(result.noise.read_sigma, 1e-3);
+}
+
+TEST_F(Develop, SaturationGrowsInThePixelsThatCellsAreMadeOf) {
+  // One white pixel in the middle of a cell of 3 x 3: two pixels around it fill its own cell, and take 6 of 9 or 4 of 9 pixels of the others.
+  std::vector<std::uint8_t> values(15 * 15 * 3, 50);
+  values[(7 * 15 + 7) * 3] = 255;
+  write_png_srgb8(path("a.png"), 15, 15, values);
+  DevelopOptions options;
+  options.encoding = Encoding::kSrgb;
+  options.cell_px = 3;
+  run(path("a.png"), options);
+  const auto mask = raster().all<std::uint8_t>("mask");
+  // Pixels 5 to 9: the last column of cell 1, all of cell 2, the first column of cell 3.
+  for (int y = 0; y < 5; ++y)
+    for (int x = 0; x < 5; ++x) EXPECT_EQ((mask[static_cast<std::size_t>(y * 5 + x)] & kSaturated) != 0, x == 2 && y == 2) << x << "," << y;
+}
+
+TEST_F(Develop, APictureSmallerThanACellIsRefused) {
+  write_exr(path("a.exr"), 8, 5, {"R", "G", "B"}, std::vector<float>(8 * 5 * 3, 0.25f), false);
+  DevelopOptions options;
+  options.cell_px = 6;
+  EXPECT_NE(error_of([&] { run(path("a.exr"), options); }).find("is 8 x 5 pixels, less than one cell of 6 x 6 pixels"), std::string::npos);
+  EXPECT_FALSE(fs::exists(raster_path()));
+}
+
+TEST_F(Develop, TheSizeIsKnownBefore) {
+  write_exr(path("a.exr"), 8, 5, {"R", "G", "B"}, std::vector<float>(8 * 5 * 3, 0.25f), false);
+  const PictureSize size = working_size(path("a.exr"), Encoding::kLinear);
+  EXPECT_EQ(size.width_px, 8);
+  EXPECT_EQ(size.height_px, 5);
+  EXPECT_NE(error_of([&] { working_size(path("b.exr"), Encoding::kLinear); }), "");
+}
+
 }  // namespace
 }  // namespace chiaro::stream
