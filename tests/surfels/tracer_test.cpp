@@ -251,22 +251,8 @@ TEST(Tracer, SeesWhatLiesBetween) {
   EXPECT_FALSE(tracer.occluded(escape_ray({0.1f, 0.1f, 0}, up, 0.02f, up, 0.9f))) << "the roof lies beyond the end of the ray";
 }
 
-constexpr int kRow = 50;
-constexpr double kSpacing = 1.0 / kRow, kBlunt = 0.8 * kSpacing;
-
-/// A wedge of 45 degrees whose edge is cut off: a lid (z = 0, x < -kBlunt), a face below it that leans back under the lid, and between them a strip narrower than
-/// the points lie apart. Seen from above it ends at x = -kBlunt.
-std::vector<tests::SampledPoint> blunt_wedge() {
-  auto points = square_points(kRow, 1.0, {-kBlunt - 0.5, 0, 0}, {0, 0, 1}, 7);
-  const double half = 0.5 * std::sqrt(0.5);
-  const auto below = square_points(kRow, 1.0, {-kBlunt - half, 0, -kBlunt - half}, Vec3d(1, 0, -1).normalized(), 8);
-  points.insert(points.end(), below.begin(), below.end());
-  for (std::uint64_t i = 0; i < static_cast<std::uint64_t>(kRow * kBlunt / kSpacing); ++i) {
-    const auto u = uniform01x4(13, Purpose::kTest, i, 0);
-    points.push_back({{-kBlunt, static_cast<double>(u[0]) - 0.5, -kBlunt * static_cast<double>(u[1])}, {1, 0, 0}});
-  }
-  return points;
-}
+using tests::blunt_wedge;
+using tests::kBlunt;
 
 /// Of rays from above that hit, how many are beyond an edge, and how many there are.
 std::pair<int, int> beyond_edges(const Tracer& tracer, double x0, double x1) {
@@ -287,20 +273,20 @@ TEST(Tracer, TellsDiscsThatStandOutOverAnEdge) {
   const stream::Store store = build_test_store(blunt_wedge(), folder.path());
   MemoryBudget budget(64u << 20);
   const Tracer tracer = trace_all(store, budget, {0, 0, 0});
-  const auto [outside, hits] = beyond_edges(tracer, -kBlunt + 0.15 * kSpacing, 0.2 * kSpacing);
+  const auto [outside, hits] = beyond_edges(tracer, -kBlunt + 0.15 * tests::kWedgeSpacing, 0.2 * tests::kWedgeSpacing);
   EXPECT_GT(hits, 100) << "discs reach beyond the edge: else there is nothing to tell";
   EXPECT_GT(outside, 0.95 * hits);
-  const auto [inside, of] = beyond_edges(tracer, -kBlunt - 6 * kSpacing, -kBlunt - 0.4 * kSpacing);
+  const auto [inside, of] = beyond_edges(tracer, -kBlunt - 6 * tests::kWedgeSpacing, -kBlunt - 0.4 * tests::kWedgeSpacing);
   EXPECT_EQ(of, 2000);
   EXPECT_LT(inside, 0.01 * of);
 }
 
 TEST(Tracer, AGapInOneFaceIsNoEdge) {
   const ScratchFolder folder;
-  const stream::Store store = build_test_store(square_points(kRow, 1.0, {0, 0, 0}, {0, 0, 1}, 7), folder.path());
+  const stream::Store store = build_test_store(square_points(50, 1.0, {0, 0, 0}, {0, 0, 1}, 7), folder.path());
   MemoryBudget budget(64u << 20);
   const Tracer tracer = trace_all(store, budget, {0, 0, 0});
-  const auto [beyond, hits] = beyond_edges(tracer, 0.5 - kSpacing, 0.5 + kSpacing);
+  const auto [beyond, hits] = beyond_edges(tracer, 0.5 - tests::kWedgeSpacing, 0.5 + tests::kWedgeSpacing);
   EXPECT_GT(hits, 1000);
   EXPECT_EQ(beyond, 0);
 }
