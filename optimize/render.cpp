@@ -20,6 +20,8 @@ namespace {
 
 constexpr float kPi = std::numbers::pi_v<float>;
 constexpr int kBandRows = 64, kBandPixels = 1 << 19;   ///< of a view at a time: fewer rows where it is wide
+constexpr float kNowhere = 1e30f;       ///< distance of what is not there
+constexpr int kMostBeyondEdge = 8;     ///< discs beyond an edge, one behind the other
 constexpr float kOneSurfaceRadii = 2;   ///< depths within a pixel that differ by more belong to two surfaces
 
 /// The geometry of a view and the albedo of its surfels.
@@ -153,36 +155,55 @@ struct Shader {
 
   CoatFactors coat(const Vec3f& p, const Vec3f& n) const { return lights.gloss.on ? coat_factors(lights.gloss, gloss_angles(p, n, {eye, flash})) : CoatFactors{}; }
 
+  /// What a ray of the view meets, past discs that stand out over an edge. A hit as far away as `sure_from` is taken as it is; by_edge is set where one was not.
+  bool find(surfels::Ray ray, float sure_from, bool& by_edge, surfels::Hit& hit, surfels::HitBlend& blend) const {
+    for (int i = 0; i < kMostBeyondEdge; ++i) {
+      if (!set.tracer.closest(ray, hit, blend)) return false;
+      if (hit.t >= sure_from || !set.tracer.is_beyond_edge(ray, hit)) return true;
+      by_edge = true;
+      ray.t_min = hit.t;
+    }
+    return true;
+  }
+
   Shaded shade(int x, int y, RenderStats& stats) const {
     const int n = options.subpixels;
     Vec3f direct = Vec3f::Zero(), albedo = Vec3f::Zero(), point = Vec3f::Zero(), normal = Vec3f::Zero();
     int hits = 0;
-    bool unseen = false;
-    float nearest = 1e30f, farthest = 0;
+    bool unseen = false, by_edge = false;
+    float nearest = kNowhere, farthest = 0;
     Shaded pixel;
-    for (int j = 0; j < n; ++j)
-      for (int i = 0; i < n; ++i) {
-        const auto d = stream::unproject(view.lens, {x + (i + 0.5) / n, y + (j + 0.5) / n});
-        if (!d) continue;
-        const surfels::Ray ray{eye, (world_from_camera * d->cast<float>()).normalized(), 0, 1e30f};
-        surfels::Hit hit;
-        surfels::HitBlend blend;
-        if (!set.tracer.closest(ray, hit, blend)) continue;
-        ++hits;
-        nearest = std::min(nearest, hit.t);
-        farthest = std::max(farthest, hit.t);
-        pixel.depth += hit.t;
-        pixel.radius = std::max(pixel.radius, hit.radius);
-        const Vec3f p = ray.origin + ray.direction * hit.t;
-        const auto finer = finer_albedo(ray, hit, blend, p);
-        const Vec3f a = finer ? *finer : albedo_of(blend, p, unseen);
-        albedo += a;
-        point += p;
-        normal += hit.normal;
-        if (options.mode == RenderMode::kAlbedo) continue;
-        const CoatFactors f = coat(p, hit.normal);
-        direct += (a * static_cast<float>(f.direct) + Vec3f::Constant(static_cast<float>(f.direct_mirrored))) * flash_irradiance(p, hit);
-      }
+    const auto cast = [&](int i, int j, float sure_from) {
+      const auto d = stream::unproject(view.lens, {x + (i + 0.5) / n, y + (j + 0.5) / n});
+      if (!d) return;
+      const surfels::Ray ray{eye, (world_from_camera * d->cast<float>()).normalized(), 0, 1e30f};
+      surfels::Hit hit;
+      surfels::HitBlend blend;
+      if (!find(ray, sure_from, by_edge, hit, blend)) return;
+      ++hits;
+      nearest = std::min(nearest, hit.t);
+      farthest = std::max(farthest, hit.t);
+      pixel.depth += hit.t;
+      pixel.radius = std::max(pixel.radius, hit.radius);
+      const Vec3f p = ray.origin + ray.direction * hit.t;
+      const auto finer = finer_albedo(ray, hit, blend, p);
+      const Vec3f a = finer ? *finer : albedo_of(blend, p, unseen);
+      albedo += a;
+      point += p;
+      normal += hit.normal;
+      if (options.mode == RenderMode::kAlbedo) return;
+      const CoatFactors f = coat(p, hit.normal);
+      direct += (a * static_cast<float>(f.direct) + Vec3f::Constant(static_cast<float>(f.direct_mirrored))) * flash_irradiance(p, hit);
+    };
+    // The corners first: where they show one surface and none of them an edge, only what lies in front of it may be beyond one.
+    const auto is_corner = [n](int i, int j) { return (i == 0 || i == n - 1) && (j == 0 || j == n - 1); };
+    float sure_from = kNowhere;
+    for (const bool corners : {true, false}) {
+      for (int j = 0; j < n; ++j)
+        for (int i = 0; i < n; ++i)
+          if (is_corner(i, j) == corners) cast(i, j, sure_from);
+      sure_from = by_edge || farthest - nearest > pixel.radius ? kNowhere : nearest - pixel.radius;
+    }
     if (hits == 0) return pixel;
     ++stats.pixels_hit;
     stats.pixels_without_albedo += unseen;

@@ -14,6 +14,7 @@
 #include <cmath>
 #include <map>
 #include <mutex>
+#include <numbers>
 #include <string>
 
 #include "stream/base/error.h"
@@ -31,6 +32,8 @@ constexpr float kSlabRadii = 0.6f;
 constexpr float kSlabMinCosine = 0.25f;
 /// Shadow rays use a slightly smaller disc: radii are stored with a margin of a tenth, so coverage stays whole and edges overhang less.
 constexpr float kShadowRho2 = 0.83f;
+/// How far around a hit points are looked for, in radii: further they would say little about its own edge, nearer too few are left.
+constexpr float kEdgeRadii = 2;
 constexpr int kMaxCandidates = 64;
 
 struct ChunkGeometry {
@@ -143,6 +146,53 @@ void on_occluded(const RTCOccludedFunctionNArguments* args) {
   if (any) RTCRayN_tfar(args->ray, args->N, 0) = -std::numeric_limits<float>::infinity();
 }
 
+/// Directions across a ray, a bit each.
+constexpr std::size_t kDirections = 32;
+constexpr std::uint32_t kAllDirections = 0xffffffffu;
+constexpr float kOneFace = 0.82f;   ///< cosine between normals: below it they belong to different faces
+
+struct UnitCircle {
+  std::array<float, kDirections> u, v;
+  UnitCircle() {
+    for (std::size_t i = 0; i < kDirections; ++i) {
+      const double angle = 2 * std::numbers::pi * static_cast<double>(i) / kDirections;
+      u[i] = static_cast<float>(std::cos(angle));
+      v[i] = static_cast<float>(std::sin(angle));
+    }
+  }
+};
+const UnitCircle kCircle;
+
+/// What lies around a place, while Embree walks the tree.
+struct SurroundQuery {
+  const std::vector<const ChunkGeometry*>& by_geometry;
+  Vec3f at, normal, u, v;          ///< u, v: across the ray
+  float reach2;
+  std::uint32_t covered = 0;       ///< directions on whose side of the ray a point lies
+  bool is_edge = false;            ///< more than one face is there
+
+  void add(const Vec3f& offset, const Vec3f& n) {
+    is_edge |= std::fabs(n.dot(normal)) < kOneFace;
+    const float x = offset.dot(u), y = offset.dot(v);
+    for (std::size_t i = 0; i < kDirections; ++i) covered |= static_cast<std::uint32_t>(x * kCircle.u[i] + y * kCircle.v[i] >= 0) << i;
+  }
+};
+
+bool on_near(RTCPointQueryFunctionArguments* args) {
+  auto& query = *static_cast<SurroundQuery*>(args->userPtr);
+  const ChunkGeometry& g = *query.by_geometry[args->geomID];
+  const SurfelBlock& block = g.chunk.blocks[args->primID];
+  const Vec3f at = query.at - g.origin_in_scene;
+  for (std::size_t i = 0; i < 16; ++i) {
+    if (block.flags[i] & SurfelBlock::kPadding) continue;
+    const Vec3f offset = (Vec3f(block.x[i], block.y[i], block.z[i]) + Vec3f::Constant(0.5f)) * g.scale.step - at;
+    if (offset.squaredNorm() <= query.reach2) query.add(offset, stream::decode_normal(block.normal_u[i], block.normal_v[i]));
+  }
+  if (query.covered != kAllDirections) return false;
+  args->query->radius = 0;   // surrounded, whatever else is there
+  return true;
+}
+
 struct RtcRelease {
   void operator()(RTCDevice d) const { rtcReleaseDevice(d); }
   void operator()(RTCScene s) const { rtcReleaseScene(s); }
@@ -170,6 +220,7 @@ struct Tracer::Impl {
   DevicePtr device;
   ScenePtr scene;
   std::map<std::uint32_t, std::unique_ptr<ChunkGeometry>> chunks;
+  std::vector<const ChunkGeometry*> by_geometry;   ///< Embree's number of a geometry to its chunk; null: none
   std::uint64_t surfels = 0;
   float slack = 0;
 
@@ -249,6 +300,8 @@ void Tracer::add(Chunk chunk) {
   rtcCommitGeometry(geometry);
   g->geometry_id = rtcAttachGeometry(impl_->scene.get(), geometry);
   rtcReleaseGeometry(geometry);
+  if (impl_->by_geometry.size() <= g->geometry_id) impl_->by_geometry.resize(g->geometry_id + 1, nullptr);
+  impl_->by_geometry[g->geometry_id] = g.get();
   impl_->check("adding a chunk");
   impl_->surfels += g->chunk.count;
   impl_->slack = std::max(impl_->slack, g->chunk.frame.radius_max * kSlabRadii / kSlabMinCosine);
@@ -259,6 +312,7 @@ void Tracer::remove(std::uint32_t chunk) {
   const auto it = impl_->chunks.find(chunk);
   if (it == impl_->chunks.end()) return;
   rtcDetachGeometry(impl_->scene.get(), it->second->geometry_id);
+  impl_->by_geometry[it->second->geometry_id] = nullptr;
   impl_->surfels -= it->second->chunk.count;
   impl_->chunks.erase(it);
 }
@@ -375,6 +429,17 @@ bool Tracer::occluded(const Ray& ray) const {
   rtcOccluded1(impl_->scene.get(), &query.context, &r);
 #endif
   return r.tfar < 0;
+}
+
+bool Tracer::is_beyond_edge(const Ray& ray, const Hit& hit) const {
+  const Vec3f at = ray.origin + ray.direction * hit.t, u = ray.direction.unitOrthogonal();
+  const float reach = kEdgeRadii * hit.radius;
+  SurroundQuery query{impl_->by_geometry, at, hit.normal, u, ray.direction.cross(u), reach * reach};
+  RTCPointQuery near{at.x(), at.y(), at.z(), 0, reach * 1.001f};   // what is near is decided point by point
+  RTCPointQueryContext context;
+  rtcInitPointQueryContext(&context);
+  rtcPointQuery(impl_->scene.get(), &near, &context, &on_near, &query);
+  return query.is_edge && query.covered != kAllDirections;
 }
 
 Ray escape_ray(const Vec3f& position, const Vec3f& normal, float radius, const Vec3f& direction, float t_max, const EscapeOptions& options) {

@@ -71,6 +71,10 @@ class Tracer {
   bool closest(const Ray& ray, Hit& hit, HitBlend& blend) const;
   /// True if something lies between t_min and t_max. What belongs to the starting surface (origin_normal, radius) is not counted.
   bool occluded(const Ray& ray) const;
+  /// Did closest() find only a disc that stands out over an edge? A disc covers its point's cell, and at an edge, above all at a sharp or rounded one, it reaches up to
+  /// half a spacing into the air. As seen along the ray, points lie densely up to where a surface turns away: true if all points around the hit lie on one side
+  /// of the ray. Where they are all of one face it may as well be a gap between them: false.
+  bool is_beyond_edge(const Ray& ray, const Hit& hit) const;
 
  private:
   struct Impl;

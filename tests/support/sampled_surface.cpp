@@ -33,6 +33,19 @@ std::vector<SampledPoint> square_points(std::size_t n, double side, const Vec3d&
   return points;
 }
 
+std::vector<SampledPoint> blunt_wedge() {
+  constexpr std::size_t kRow = 50, kStrip = 40;
+  auto points = square_points(kRow, 1.0, {-kBlunt - 0.5, 0, 0}, {0, 0, 1}, 7);
+  const double half = 0.5 * std::sqrt(0.5);
+  const auto below = square_points(kRow, 1.0, {-kBlunt - half, 0, -kBlunt - half}, Vec3d(1, 0, -1).normalized(), 8);
+  points.insert(points.end(), below.begin(), below.end());
+  for (std::uint64_t i = 0; i < kStrip; ++i) {
+    const auto u = uniform01x4(13, Purpose::kTest, i, 0);
+    points.push_back({{-kBlunt, static_cast<double>(u[0]) - 0.5, -kBlunt * static_cast<double>(u[1])}, {1, 0, 0}});
+  }
+  return points;
+}
+
 stream::Store build_test_store(const std::vector<SampledPoint>& points, const std::filesystem::path& folder, std::uint32_t chunk_surfels) {
   stream::PointWriterOptions options;
   options.num_points = points.size();

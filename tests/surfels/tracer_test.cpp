@@ -251,6 +251,46 @@ TEST(Tracer, SeesWhatLiesBetween) {
   EXPECT_FALSE(tracer.occluded(escape_ray({0.1f, 0.1f, 0}, up, 0.02f, up, 0.9f))) << "the roof lies beyond the end of the ray";
 }
 
+using tests::blunt_wedge;
+using tests::kBlunt;
+
+/// Of rays from above that hit, how many are beyond an edge, and how many there are.
+std::pair<int, int> beyond_edges(const Tracer& tracer, double x0, double x1) {
+  std::pair<int, int> counts{0, 0};
+  for (std::uint64_t i = 0; i < 2000; ++i) {
+    const auto u = uniform01x4(14, Purpose::kTest, i, 0);
+    const Ray ray{{static_cast<float>(x0 + (x1 - x0) * static_cast<double>(u[0])), 0.8f * u[1] - 0.4f, 1}, {0, 0, -1}, 0, 1e30f};
+    Hit hit;
+    if (!tracer.closest(ray, hit)) continue;
+    counts.first += tracer.is_beyond_edge(ray, hit);
+    ++counts.second;
+  }
+  return counts;
+}
+
+TEST(Tracer, TellsDiscsThatStandOutOverAnEdge) {
+  const ScratchFolder folder;
+  const stream::Store store = build_test_store(blunt_wedge(), folder.path());
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, {0, 0, 0});
+  const auto [outside, hits] = beyond_edges(tracer, -kBlunt + 0.15 * tests::kWedgeSpacing, 0.2 * tests::kWedgeSpacing);
+  EXPECT_GT(hits, 100) << "discs reach beyond the edge: else there is nothing to tell";
+  EXPECT_GT(outside, 0.95 * hits);
+  const auto [inside, of] = beyond_edges(tracer, -kBlunt - 6 * tests::kWedgeSpacing, -kBlunt - 0.4 * tests::kWedgeSpacing);
+  EXPECT_EQ(of, 2000);
+  EXPECT_LT(inside, 0.01 * of);
+}
+
+TEST(Tracer, AGapInOneFaceIsNoEdge) {
+  const ScratchFolder folder;
+  const stream::Store store = build_test_store(square_points(50, 1.0, {0, 0, 0}, {0, 0, 1}, 7), folder.path());
+  MemoryBudget budget(64u << 20);
+  const Tracer tracer = trace_all(store, budget, {0, 0, 0});
+  const auto [beyond, hits] = beyond_edges(tracer, 0.5 - tests::kWedgeSpacing, 0.5 + tests::kWedgeSpacing);
+  EXPECT_GT(hits, 1000);
+  EXPECT_EQ(beyond, 0);
+}
+
 TEST(Tracer, RefusesWhatTheBudgetDoesNotHold) {
   const ScratchFolder folder;
   const stream::Store store = build_test_store(sphere_points(60000, 1.0, {0, 0, 0}, false), folder.path());
