@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "optimize/error_model.h"
+#include "optimize/flash_misreading.h"
 #include "optimize/gloss_light.h"
 #include "optimize/light_pattern.h"
 #include "optimize/light_samples.h"
@@ -52,6 +53,9 @@ class LightProblem {
 
  private:
   void look_for_flash(Lights& lights);
+  void look_for_misreading(const LightSolution& solution, const LightSolveOptions& options);
+  void weigh_misreading(const LightSolution& solution);
+  Vec3d written_offset() const;
   bool leave_out_strangers(const Lights& lights);
   void take_out_exposure(std::size_t k, double factor);
   bool find_own_light(const Lights& start, const LightSolution& solution, bool may_vary);
@@ -98,6 +102,8 @@ class LightProblem {
   ErrorModel errors_;
   std::optional<double> ambient_guess_;
   FoundPattern found_;
+  std::optional<Misreading> misreading_;
+  double scatter_before_ = 0;            ///< LightSolution::scatter when it was looked for
   std::vector<double> corner_sines_;   ///< of each photograph
   LightSpread spread_{};
   int own_light_rounds_ = 0, pattern_rounds_ = 0, variation_rounds_ = 0;

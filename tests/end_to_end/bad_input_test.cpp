@@ -72,6 +72,24 @@ TEST_F(BadInput, APhotographUnderAnotherAmbientLightIsNamedAndCorrected) {
   EXPECT_LE(error_of(s).absolute, 0.02);
 }
 
+TEST_F(BadInput, AnOffsetOfTheFlashWithYUpIsNamedAndNothingIsChanged) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  const TinyScene s = scene(options);
+  ASSERT_EQ(run("out").code, 0);
+  EXPECT_THAT(file_bytes(at("out/run.json")), testing::Not(HasSubstr("looks as if it were written")));
+  const auto [x, y, z] = options.flash_in_camera;
+  std::ostringstream right, wrong;
+  right << "offset_in_camera = [" << x << ", " << y << ", " << z << "]";
+  wrong << "offset_in_camera = [" << x << ", " << -y << ", " << z << "]";
+  edit("scene/project.toml", right.str(), wrong.str());
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("flash." + wrong.str() + " looks as if it were written with y up"));
+  EXPECT_THAT(ran.err, HasSubstr("write " + right.str()));
+  EXPECT_THAT(file_bytes(at("out/run.json")), HasSubstr("looks as if it were written"));
+}
+
 TEST_F(BadInput, APhotographThatWasOverexposedAndClippedIsReadWhereItIsNot) {
   TinySceneOptions options;
   options.photographs = 4;
