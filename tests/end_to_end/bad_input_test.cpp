@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <iterator>
 #include <sstream>
 
 #include "stream/base/rng.h"
@@ -88,6 +89,26 @@ TEST_F(BadInput, AnOffsetOfTheFlashWithYUpIsNamedAndNothingIsChanged) {
   EXPECT_THAT(ran.err, HasSubstr("flash." + wrong.str() + " looks as if it were written with y up"));
   EXPECT_THAT(ran.err, HasSubstr("write " + right.str()));
   EXPECT_THAT(file_bytes(at("out/run.json")), HasSubstr("looks as if it were written"));
+}
+
+/// What they see of a smooth sphere changes slowly, and its outlines tell.
+TEST_F(BadInput, CamerasOfAnotherScaleAreNoticedByTheMasks) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  const TinyScene s = scene(options);
+  std::istringstream before(file_bytes(s.folder / "sparse/images.txt"));
+  std::ostringstream after;
+  for (std::string line; std::getline(before, line);) {
+    std::istringstream words(line);
+    std::vector<std::string> word{std::istream_iterator<std::string>(words), {}};
+    for (std::size_t i = 5; word.size() == 10 && word[0] != "#" && i < 8; ++i) word[i] = std::to_string(1.3 * std::stod(word[i]));
+    for (const std::string& w : word) after << w << ' ';
+    after << '\n';
+  }
+  put_bytes(s.folder / "sparse/images.txt", after.str());
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr(" % of the pixels that the masks leave show nothing of the cloud"));
 }
 
 TEST_F(BadInput, APhotographThatWasOverexposedAndClippedIsReadWhereItIsNot) {
