@@ -187,7 +187,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   sweep(solution.lights, albedo, kFirstSweeps, relaxation.share());
   albedo_ = mean_albedo(solution.lights);
   if (!use_pairs_) errors_ = estimate_errors(samples_, solution.lights);
-  weigh_misreading(solution);
+  weigh_misreadings(solution);
   solution.ambient_open = ambient_open(start, solution);
   add_uncertainty(found_.lights_covariance, solution.lights.sky[0], solution);
   add_uncertainty(own_lights_covariance_, 1, solution);
@@ -213,6 +213,7 @@ void LightProblem::look_for_flash(Lights& lights) {
 std::vector<std::string> LightProblem::notes(const LightSolution& solution) const {
   const std::string who = concat(input_.names[photographs_[0]], photographs_.size() > 1 ? " and the others of the acquisition" : "");
   std::vector<std::string> notes = light_notes(input_, samples_, solution, who, use_pairs_, lit_);
+  if (wrong_encoding_) notes.push_back(encoding_note(*wrong_encoding_));
   if (misreading_) notes.push_back(misreading_note(*misreading_, written_offset()));
   return notes;
 }

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "optimize/encoding_misreading.h"
 #include "optimize/error_model.h"
 #include "optimize/flash_misreading.h"
 #include "optimize/gloss_light.h"
@@ -54,7 +55,7 @@ class LightProblem {
  private:
   void look_for_flash(Lights& lights);
   void look_for_misreading(const LightSolution& solution, const LightSolveOptions& options);
-  void weigh_misreading(const LightSolution& solution);
+  void weigh_misreadings(const LightSolution& solution);
   Vec3d written_offset() const;
   bool leave_out_strangers(const Lights& lights);
   void take_out_exposure(std::size_t k, double factor);
@@ -103,7 +104,8 @@ class LightProblem {
   std::optional<double> ambient_guess_;
   FoundPattern found_;
   std::optional<Misreading> misreading_;
-  double scatter_before_ = 0;            ///< LightSolution::scatter when it was looked for
+  std::optional<EncodingMisreading> wrong_encoding_;
+  double scatter_before_ = 0;            ///< LightSolution::scatter when they were looked for
   std::vector<double> corner_sines_;   ///< of each photograph
   LightSpread spread_{};
   int own_light_rounds_ = 0, pattern_rounds_ = 0, variation_rounds_ = 0;

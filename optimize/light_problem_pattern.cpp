@@ -48,7 +48,8 @@ bool LightProblem::find_pattern(const LightSolution& solution, const LightSolveO
   return true;
 }
 
-/// Whether the offset of the flash is written in other axes or another unit. Asked before anything is taken out that may have stood for a part of it.
+/// Whether the offset of the flash is written in other axes or another unit, or the values' curve is not what it was taken for. Asked before anything is taken out that may have stood
+/// for a part of it.
 void LightProblem::look_for_misreading(const LightSolution& solution, const LightSolveOptions& options) {
   if (use_pairs_ || !lit_) return;
   const auto flash_under = [&](std::size_t k, const Mat3d& offset_from_written) {
@@ -57,15 +58,19 @@ void LightProblem::look_for_misreading(const LightSolution& solution, const Ligh
   };
   LightSolveOptions trial = options;
   trial.max_iterations = kTrialIterations;
-  misreading_ = find_misreading(thinned(samples_, kMisreadingGroups), scene_.proxy.position, scene_.proxy.normal, flash_under, current_references(), trial, solution.lights);
+  const std::vector<LightSample> some = thinned(samples_, kMisreadingGroups);
   scatter_before_ = solution.scatter;
+  wrong_encoding_ = find_encoding_misreading(some, trial, solution.lights);
+  if (!wrong_encoding_) misreading_ = find_misreading(some, scene_.proxy.position, scene_.proxy.normal, flash_under, current_references(), trial, solution.lights);
 }
 
 /// What has been taken out since may explain the photographs as well.
-void LightProblem::weigh_misreading(const LightSolution& solution) {
-  if (!misreading_) return;
-  misreading_->scatter_as_written *= std::min(1.0, solution.scatter / scatter_before_);
-  if (!far_less_scatter(misreading_->scatter, misreading_->scatter_as_written)) misreading_.reset();
+void LightProblem::weigh_misreadings(const LightSolution& solution) {
+  const double left = scatter_before_ > 0 ? std::min(1.0, solution.scatter / scatter_before_) : 1;
+  if (misreading_) misreading_->scatter_as_written *= left;
+  if (misreading_ && !far_less_scatter(misreading_->scatter, misreading_->scatter_as_written)) misreading_.reset();
+  if (wrong_encoding_) wrong_encoding_->scatter_as_taken *= left;
+  if (wrong_encoding_ && !explains_far_better(wrong_encoding_->scatter, wrong_encoding_->scatter_as_taken)) wrong_encoding_.reset();
 }
 
 /// Of the first photograph that has one.

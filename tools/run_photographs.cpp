@@ -237,7 +237,7 @@ void PhotographStages::raycast(const stream::Store& store, Shoot& shoot) {
 }
 
 void PhotographStages::note_masks() {
-  const std::uint64_t beside = masked_.used - masked_.used_on_cloud;
+  const std::uint64_t beside = masked_.used - std::min(masked_.used, masked_.used_on_cloud);   // on the cloud clipped pixels count, too
   // A mask may well leave a small part of a large cloud, or some of what surrounds it, but hardly both.
   if (2 * masked_.used_on_cloud < masked_.used && 2 * masked_.used_on_cloud < masked_.on_cloud)
     run_.note_both(concat("the masks leave ", 100 * masked_.used_on_cloud / masked_.on_cloud, " % of what the photographs show of the cloud, and mostly pixels that do not show it: white is what is used. Are the masks the other way round, "

@@ -91,6 +91,17 @@ TEST_F(BadInput, AnOffsetOfTheFlashWithYUpIsNamedAndNothingIsChanged) {
   EXPECT_THAT(file_bytes(at("out/run.json")), HasSubstr("looks as if it were written"));
 }
 
+TEST_F(BadInput, ValuesWithACurveThatAreTakenAsLinearAreNoticed) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  const TinyScene s = scene(options);
+  for (int k = 0; k < 4; ++k) change(s, k, [](float v, std::size_t) { return v <= 0.0031308f ? 12.92f * v : 1.055f * std::pow(v, 1 / 2.4f) - 0.055f; });
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("the photographs look as if they held the sRGB curve, and are taken as linear"));
+  EXPECT_THAT(ran.err, HasSubstr("write encoding = \"srgb\""));
+}
+
 /// What they see of a smooth sphere changes slowly, and its outlines tell.
 TEST_F(BadInput, CamerasOfAnotherScaleAreNoticedByTheMasks) {
   TinySceneOptions options;
@@ -122,6 +133,7 @@ TEST_F(BadInput, APhotographThatWasOverexposedAndClippedIsReadWhereItIsNot) {
   ASSERT_EQ(ran.code, 0) << ran.err;
   EXPECT_THAT(json("out/run.json").at("notes").dump(), HasSubstr("photo_01.exr: "));
   EXPECT_THAT(json("out/run.json").at("notes").dump(), HasSubstr("pixels share the brightest value of the file"));
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("pixels that the masks leave")));
   EXPECT_NEAR(lights().at("exposures").at("photo_01").get<double>(), 2, 0.04);
   EXPECT_LE(error_of(s).absolute, 0.02);
 }
