@@ -10,6 +10,7 @@ namespace chiaro::optimize {
 namespace {
 
 constexpr double kFarLess = 0.85;   ///< offsets that are right: 1.1 and more, of four scenes; y and z turned over: 0.35, 0.48, 0.78, 0.85
+constexpr double kAsMuch = 1.2;     ///< 1.14 in a chamber with y and z turned over
 constexpr double kLit = 0.8;        ///< of the flash without shadows
 constexpr std::size_t kLeastGroups = 100;
 
@@ -59,7 +60,7 @@ std::vector<OffsetReading> usual_readings() {
   return readings;
 }
 
-bool far_less_scatter(double scatter, double as_written) { return scatter < kFarLess * as_written; }
+bool is_worth_telling(const Misreading& m, bool light_varies) { return m.scatter < (light_varies ? kAsMuch : kFarLess) * m.scatter_corrected; }
 
 std::optional<Misreading> find_misreading(std::span<const LightSample> samples, std::span<const Vec3f> position, std::span<const Vec3f> normal, const FlashUnder& flash_under,
                                           std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& as_written) {
@@ -80,16 +81,17 @@ std::optional<Misreading> find_misreading(std::span<const LightSample> samples, 
     for (std::size_t i = 0; i < lit.samples.size(); ++i)
       if (LightSample& s = lit.samples[i]; s.flash_photograph) s.flash = static_cast<float>(lit.mean[i] * flash_at(s, reading.offset_from_written));
     const double scatter = solve_lights(lit.samples, references, options, as_written).scatter;
-    if (far_less_scatter(scatter, written) && (!best || scatter < best->scatter)) best = Misreading{reading, scatter, written};
+    if (scatter < kFarLess * written && (!best || scatter < best->scatter)) best = Misreading{reading, scatter, written, written};
   }
   return best;
 }
 
 std::string misreading_note(const Misreading& found, const Vec3d& written) {
   const std::string instead = rounded(found.reading.offset_from_written * written);
+  const bool settled = found.scatter_corrected < found.scatter_as_written;
   return concat("flash.offset_in_camera = ", rounded(written), " looks as if it were written ", found.reading.mistake, ": with ", instead, " the photographs differ by ", per_cent(found.scatter),
-                " where they show the same surface, as it stands by ", per_cent(found.scatter_as_written), ". Nothing was changed, and the albedo is by what stands there: if that is the mistake, write offset_in_camera = ", instead,
-                " (right, down, forward) and run again");
+                " where they show the same surface, as it stands by ", per_cent(found.scatter_as_written), settled ? concat(" (", per_cent(found.scatter_corrected), " with all that was taken out)") : "",
+                ". Nothing was changed, and the albedo is by what stands there: if that is the mistake, write offset_in_camera = ", instead, " (right, down, forward) and run again");
 }
 
 }  // namespace chiaro::optimize

@@ -26,10 +26,11 @@ using FlashUnder = std::function<Vec3d(std::size_t photograph, const Mat3d& offs
 struct Misreading {
   OffsetReading reading;
   double scatter = 0, scatter_as_written = 0;   ///< of ln albedo between photographs (LightSolution::scatter), of the same samples
+  double scatter_corrected = 0;                 ///< as written, with what was taken out in the end (light that varies, a shift, a falloff)
 };
 
-/// Whether a reading of which the first is left is worth telling where what is written leaves the second.
-bool far_less_scatter(double scatter, double as_written);
+/// Whether it leaves far less than the offset as written does with all that was taken out; or, where that was light that varies from photograph to photograph, about as little by itself.
+bool is_worth_telling(const Misreading& misreading, bool light_varies);
 
 /// Solves for the lights under each reading, from what no shadow of the flash reaches as the offset is written. Where another flash would cast shadows is not looked for: that speaks
 /// against a reading, so that one that is found has overcome it. Single photographs are not asked: what they say of the lights is too little.

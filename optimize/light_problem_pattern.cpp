@@ -67,8 +67,8 @@ void LightProblem::look_for_misreading(const LightSolution& solution, const Ligh
 /// What has been taken out since may explain the photographs as well.
 void LightProblem::weigh_misreadings(const LightSolution& solution) {
   const double left = scatter_before_ > 0 ? std::min(1.0, solution.scatter / scatter_before_) : 1;
-  if (misreading_) misreading_->scatter_as_written *= left;
-  if (misreading_ && !far_less_scatter(misreading_->scatter, misreading_->scatter_as_written)) misreading_.reset();
+  if (misreading_) misreading_->scatter_corrected = left * misreading_->scatter_as_written;
+  if (misreading_ && !is_worth_telling(*misreading_, varies())) misreading_.reset();
   if (wrong_encoding_) wrong_encoding_->scatter_as_taken *= left;
   if (wrong_encoding_ && !explains_far_better(wrong_encoding_->scatter, wrong_encoding_->scatter_as_taken)) wrong_encoding_.reset();
 }

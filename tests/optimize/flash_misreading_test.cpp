@@ -108,16 +108,19 @@ TEST(FlashMisreading, AFewPlacesSayNothing) {
   EXPECT_FALSE(floor.found());
 }
 
-TEST(FlashMisreading, ALittleLessScatterIsNotTold) {
-  EXPECT_FALSE(far_less_scatter(0.9, 1));
-  EXPECT_TRUE(far_less_scatter(0.8, 1));
+TEST(FlashMisreading, IsToldWhereItLeavesFarLessOrAsLittleAsLightThatVaries) {
+  const auto told = [](double scatter, bool light_varies) { return is_worth_telling({usual_readings().front(), scatter, 2, 1}, light_varies); };
+  EXPECT_TRUE(told(0.8, false));
+  EXPECT_FALSE(told(0.9, false));
+  EXPECT_TRUE(told(1.1, true));
+  EXPECT_FALSE(told(1.3, true));
 }
 
 TEST(FlashMisreading, TheNoteSaysWhatToWrite) {
-  const std::string note = misreading_note({usual_readings().front(), 0.011, 0.032}, {0.13, 0.16, 0});
+  const std::string note = misreading_note({usual_readings().front(), 0.011, 0.032, 0.02}, {0.13, 0.16, 0});
   EXPECT_THAT(note, HasSubstr("offset_in_camera = [0.13, 0.16, 0] looks as if it were written with y up and z backwards"));
   EXPECT_THAT(note, HasSubstr("by 1.1 %"));
-  EXPECT_THAT(note, HasSubstr("by 3.2 %"));
+  EXPECT_THAT(note, HasSubstr("by 3.2 % (2 % with all that was taken out)"));
   EXPECT_THAT(note, HasSubstr("write offset_in_camera = [0.13, -0.16, 0]"));
 }
 
