@@ -34,8 +34,10 @@ struct Unshadowed {
   std::vector<double> mean;
 };
 
+/// Four digits of the longest.
 std::string rounded(const Vec3d& v) {
-  const auto number = [](double x) { return std::round(x * 1e4) / 1e4 + 0.0; };   // no -0
+  const double steps = v.norm() > 0 ? std::pow(10.0, 3 - std::floor(std::log10(v.norm()))) : 1;
+  const auto number = [&](double x) { return std::round(x * steps) / steps + 0.0; };   // no -0
   return concat("[", number(v.x()), ", ", number(v.y()), ", ", number(v.z()), "]");
 }
 

@@ -122,6 +122,7 @@ TEST(FlashMisreading, TheNoteSaysWhatToWrite) {
   EXPECT_THAT(note, HasSubstr("by 1.1 %"));
   EXPECT_THAT(note, HasSubstr("by 3.2 % (2 % with all that was taken out)"));
   EXPECT_THAT(note, HasSubstr("write offset_in_camera = [0.13, -0.16, 0]"));
+  EXPECT_THAT(misreading_note({{1000 * Mat3d::Identity(), "in m"}, 0.01, 0.03, 0.03}, {0.00013, -0.00016, 0}), HasSubstr("offset_in_camera = [0.00013, -0.00016, 0] looks as if it were written in m: with [0.13, -0.16, 0]"));
 }
 
 }  // namespace
