@@ -10,6 +10,7 @@ namespace {
 
 constexpr double kBrightest = 0.95, kBrightestAlbedo = 0.8;
 constexpr double kContradiction = 2.5;    ///< deviations: one run in eighty with a right range
+constexpr double kDisagree = 0.15;        ///< of ln albedo between photographs: 0.01 to 0.03 on seven scenes, 0.38 to 0.70 with cameras of another scale or focal length, or a cloud in two units
 constexpr double kFaint = 0.02;           ///< share of the light below which a flash might as well not have fired
 
 double quantile(std::vector<double>& v, double share) {
@@ -75,6 +76,9 @@ std::vector<std::string> light_notes(const AcquisitionInput& input, std::span<co
   }
   if (const double share = largest_flash_share(samples, solution.lights); share < kFaint)
     notes.push_back(concat(who, ": the flash gives less than ", per_cent(kFaint), " of the light by what the photographs show, where it should give more: did it fire? The scale of the albedo is not to be trusted"));
+  if (!alone && solution.scatter > kDisagree)
+    notes.push_back(concat(who, ": the albedo is not to be trusted: where two photographs show the same place they differ by ", per_cent(solution.scatter),
+                           " (median), where a few per cent are usual. Are the cameras those of this cloud (its frame, its unit and scale, the focal length and size of these photographs), and are all clouds in one unit? Surfaces that shine like metal differ so, too"));
   if (!solution.scale_known)
     notes.push_back(concat(who, ": the flash has no calibrated range and nothing of known albedo is seen: albedo is known up to one factor (flash known to ", per_cent(flash_sd), ")"));
   if (alone)

@@ -149,6 +149,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
     change = light_change(before, solution.lights);
     report.progress(static_cast<std::uint64_t>(std::min(outer + 1, options_.outer_iterations)));
     const bool settled = outer > kBounceCheck && change < kOuterTolerance;
+    if (outer == kBounceCheck) look_for_misreading(solution, light_options);
     const bool estranged = outer == kBounceCheck && leave_out_strangers(solution.lights);
     const bool near = outer > kBounceCheck && change < kSettled;
     const bool decided = !try_gloss && !choose_sky, varied = varies();
@@ -186,6 +187,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   sweep(solution.lights, albedo, kFirstSweeps, relaxation.share());
   albedo_ = mean_albedo(solution.lights);
   if (!use_pairs_) errors_ = estimate_errors(samples_, solution.lights);
+  weigh_misreadings(solution);
   solution.ambient_open = ambient_open(start, solution);
   add_uncertainty(found_.lights_covariance, solution.lights.sky[0], solution);
   add_uncertainty(own_lights_covariance_, 1, solution);
@@ -210,7 +212,10 @@ void LightProblem::look_for_flash(Lights& lights) {
 
 std::vector<std::string> LightProblem::notes(const LightSolution& solution) const {
   const std::string who = concat(input_.names[photographs_[0]], photographs_.size() > 1 ? " and the others of the acquisition" : "");
-  return light_notes(input_, samples_, solution, who, use_pairs_, lit_);
+  std::vector<std::string> notes = light_notes(input_, samples_, solution, who, use_pairs_, lit_);
+  if (wrong_encoding_) notes.push_back(encoding_note(*wrong_encoding_));
+  if (misreading_) notes.push_back(misreading_note(*misreading_, written_offset()));
+  return notes;
 }
 
 /// Where the flash stands by what has been found so far.

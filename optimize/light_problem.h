@@ -6,7 +6,9 @@
 #include <string>
 #include <vector>
 
+#include "optimize/encoding_misreading.h"
 #include "optimize/error_model.h"
+#include "optimize/flash_misreading.h"
 #include "optimize/gloss_light.h"
 #include "optimize/light_pattern.h"
 #include "optimize/light_samples.h"
@@ -52,6 +54,9 @@ class LightProblem {
 
  private:
   void look_for_flash(Lights& lights);
+  void look_for_misreading(const LightSolution& solution, const LightSolveOptions& options);
+  void weigh_misreadings(const LightSolution& solution);
+  Vec3d written_offset() const;
   bool leave_out_strangers(const Lights& lights);
   void take_out_exposure(std::size_t k, double factor);
   bool find_own_light(const Lights& start, const LightSolution& solution, bool may_vary);
@@ -98,6 +103,9 @@ class LightProblem {
   ErrorModel errors_;
   std::optional<double> ambient_guess_;
   FoundPattern found_;
+  std::optional<Misreading> misreading_;
+  std::optional<EncodingMisreading> wrong_encoding_;
+  double scatter_before_ = 0;            ///< LightSolution::scatter when they were looked for
   std::vector<double> corner_sines_;   ///< of each photograph
   LightSpread spread_{};
   int own_light_rounds_ = 0, pattern_rounds_ = 0, variation_rounds_ = 0;

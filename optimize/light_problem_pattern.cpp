@@ -10,6 +10,7 @@ namespace {
 
 constexpr double kPlaceSdMetres = 0.03, kFarthestMetres = 0.06;   ///< how well people measure where the flash is; nobody mistakes more
 constexpr double kLeastStepMetres = 5e-4;
+constexpr std::size_t kMisreadingGroups = 1500;
 constexpr double kLeastFalloffStep = 5e-4;   ///< of ln
 
 }  // namespace
@@ -45,6 +46,38 @@ bool LightProblem::find_pattern(const LightSolution& solution, const LightSolveO
   if (was.none() && !is.none()) forget_own_lights();   // they may have stood for a part of it
   apply_pattern(found.pattern);
   return true;
+}
+
+/// Whether the offset of the flash is written in other axes or another unit, or the values' curve is not what it was taken for. Asked before anything is taken out that may have stood
+/// for a part of it.
+void LightProblem::look_for_misreading(const LightSolution& solution, const LightSolveOptions& options) {
+  if (use_pairs_ || !lit_) return;
+  const auto flash_under = [&](std::size_t k, const Mat3d& offset_from_written) {
+    const ObserveInput& photo = input_.photographs[k];
+    return Vec3d(photo.camera.pose.world_from_camera(offset_from_written * *photo.flash_in_camera) - scene_.proxy.origin_in_world);
+  };
+  LightSolveOptions trial = options;
+  trial.max_iterations = kTrialIterations;
+  const std::vector<LightSample> some = thinned(samples_, kMisreadingGroups);
+  scatter_before_ = solution.scatter;
+  wrong_encoding_ = find_encoding_misreading(some, trial, solution.lights);
+  if (!wrong_encoding_) misreading_ = find_misreading(some, scene_.proxy.position, scene_.proxy.normal, flash_under, current_references(), trial, solution.lights);
+}
+
+/// What has been taken out since may explain the photographs as well.
+void LightProblem::weigh_misreadings(const LightSolution& solution) {
+  const double left = scatter_before_ > 0 ? std::min(1.0, solution.scatter / scatter_before_) : 1;
+  if (misreading_) misreading_->scatter_corrected = left * misreading_->scatter_as_written;
+  if (misreading_ && !is_worth_telling(*misreading_, varies())) misreading_.reset();
+  if (wrong_encoding_) wrong_encoding_->scatter_as_taken *= left;
+  if (wrong_encoding_ && !explains_far_better(wrong_encoding_->scatter, wrong_encoding_->scatter_as_taken)) wrong_encoding_.reset();
+}
+
+/// Of the first photograph that has one.
+Vec3d LightProblem::written_offset() const {
+  for (const ObserveInput& p : input_.photographs)
+    if (p.flash_in_camera) return *p.flash_in_camera;
+  return Vec3d::Zero();
 }
 
 /// A falloff may have stood for light that varies: it is asked anew, once, beside what varies.

@@ -12,6 +12,7 @@
 #include "tools/commands.h"
 #include "tools/glob.h"
 #include "tools/resources.h"
+#include "tools/cloud_units.h"
 #include "tools/rounded_positions.h"
 #include "tools/table.h"
 
@@ -97,6 +98,7 @@ int run_ingest(std::span<const std::string> args, Console& console) {
   MemoryBudget budget(budget_bytes(memory_bytes));
   const stream::Manifest manifest = reused ? stream::Store(out).manifest() : stream::build_store(files, out, options, budget, console.report());
   for (const std::string& note : notes_on_rounded_positions(stream::Store(out), files, budget.free_bytes() / 2)) console.report().note(note);
+  for (const std::string& note : notes_on_units(files, budget.free_bytes() / 2)) console.report().note(note);
   print(out, manifest, reused, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(), console);
   return manifest.points_rejected.empty() ? 0 : 3;
 }

@@ -4,6 +4,7 @@
 #include "stream/base/hash.h"
 #include "stream/cloud/filtered.h"
 #include "stream/cloud/point_stream.h"
+#include "tools/cloud_units.h"
 #include "tools/rounded_positions.h"
 
 namespace chiaro::tools {
@@ -107,10 +108,14 @@ IngestOutcome make_store(const IngestPlan& plan, const std::filesystem::path& st
 
 IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, MemoryBudget& budget, Reporter& report) {
   IngestOutcome outcome = make_store(plan, store_path, budget, report);
-  for (std::string& note : notes_on_rounded_positions(stream::Store(store_path), plan.files, budget.free_bytes() / 2)) {
-    report.note(note);
-    outcome.notes.push_back(std::move(note));
-  }
+  const auto tell = [&](std::vector<std::string> notes) {
+    for (std::string& note : notes) {
+      report.note(note);
+      outcome.notes.push_back(std::move(note));
+    }
+  };
+  tell(notes_on_rounded_positions(stream::Store(store_path), plan.files, budget.free_bytes() / 2));
+  if (!plan.align) tell(notes_on_units(plan.files, budget.free_bytes() / 2));
   return outcome;
 }
 

@@ -416,6 +416,9 @@ void refuse_deep_keys(const std::string& text, const std::string& shown) {
 }
 
 toml::table parse_file(const fs::path& path) {
+  std::error_code code;
+  if (const fs::file_status status = fs::status(path, code); !fs::exists(status)) throw UsageError(concat(path.string(), ": no such file, expected a project file"));
+  else if (fs::is_directory(status)) throw UsageError(concat(path.string(), ": is a folder, expected a project file"));
   const std::string text = read_text(path, kMaxFileBytes);
   const std::string shown = path.string();
   refuse_deep_keys(text, shown);

@@ -12,6 +12,7 @@
 #include "stream/photo/camera_files.h"
 #include "stream/photo/develop.h"
 #include "surfels/gbuffer.h"
+#include "tools/camera_frame.h"
 #include "tools/run_context_json.h"
 
 namespace chiaro::tools {
@@ -239,6 +240,9 @@ void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
 
 void PhotographStages::raycast(Shoot& shoot) {
   const Acquisition& a = *shoot.acquisition;
+  std::vector<Vec3d> centres;
+  for (const Photo& photo : shoot.photos) centres.push_back(photo.camera.pose.centre_in_world());
+  if (const auto note = cameras_in_one_spot(centres, store.manifest().bounds, store.manifest().unit)) run_.note_both(concat("acquisition \"", a.name, "\": ", *note));
   std::vector<Photo> kept;
   for (Photo& photo : shoot.photos) {
     surfels::GBufferOptions options;
@@ -263,7 +267,7 @@ void PhotographStages::raycast(Shoot& shoot) {
       masked_.used_on_cloud += info["pixels_hit_in_mask"].get<std::uint64_t>();
     }
     if (info["pixels_hit"] == 0) {
-      run_.leave_out(*photo.input, "it sees nothing of the cloud");
+      run_.leave_out(*photo.input, concat("it sees nothing of the cloud", far_camera(photo.camera.pose.centre_in_world(), store.manifest().bounds, store.manifest().unit).value_or("")));
       continue;
     }
     pixels_on_cloud_ += info["pixels_hit"].get<std::uint64_t>();
@@ -277,10 +281,14 @@ void PhotographStages::raycast(Shoot& shoot) {
 }
 
 void PhotographStages::note_masks() {
+  const std::uint64_t beside = masked_.used - std::min(masked_.used, masked_.used_on_cloud);   // on the cloud clipped pixels count, too
   // A mask may well leave a small part of a large cloud, or some of what surrounds it, but hardly both.
-  if (2 * masked_.used_on_cloud >= masked_.used || 2 * masked_.used_on_cloud >= masked_.on_cloud) return;
-  run_.note_both(concat("the masks leave ", 100 * masked_.used_on_cloud / masked_.on_cloud, " % of what the photographs show of the cloud, and mostly pixels that do not show it: white is what is used. Are the masks the other way round, "
-                        "or cameras and cloud not in one frame?"));
+  if (2 * masked_.used_on_cloud < masked_.used && 2 * masked_.used_on_cloud < masked_.on_cloud)
+    run_.note_both(concat("the masks leave ", 100 * masked_.used_on_cloud / masked_.on_cloud, " % of what the photographs show of the cloud, and mostly pixels that do not show it: white is what is used. Are the masks the other way round, "
+                          "or cameras and cloud not in one frame?"));
+  else if (4 * beside > masked_.used)
+    run_.note_both(concat(100 * beside / masked_.used, " % of the pixels that the masks leave show nothing of the cloud. Where the masks outline what was scanned, the cameras are not quite those of the cloud: "
+                          "their distances (scale, unit), the focal length, or the frame"));
 }
 
 void PhotographStages::note_backs() {

@@ -29,7 +29,7 @@ class PhotographStages {
   void raycast(Shoot& shoot);
   /// Points are seen from their front alone. Where a scan's normals point inwards all of it stays unseen.
   void note_backs();
-  /// Masks outline the object. Where they leave little of it and much else, they may be meant the other way round.
+  /// Masks outline the object. Where they leave little of it and much else, they may be meant the other way round; where they leave much beside it, cameras may have another scale.
   void note_masks();
 
  private:

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <iterator>
 #include <sstream>
 
 #include "stream/base/rng.h"
@@ -72,6 +73,55 @@ TEST_F(BadInput, APhotographUnderAnotherAmbientLightIsNamedAndCorrected) {
   EXPECT_LE(error_of(s).absolute, 0.02);
 }
 
+TEST_F(BadInput, AnOffsetOfTheFlashWithYUpIsNamedAndNothingIsChanged) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  const TinyScene s = scene(options);
+  ASSERT_EQ(run("out").code, 0);
+  EXPECT_THAT(file_bytes(at("out/run.json")), testing::Not(HasSubstr("looks as if it were written")));
+  const auto [x, y, z] = options.flash_in_camera;
+  std::ostringstream right, wrong;
+  right << "offset_in_camera = [" << x << ", " << y << ", " << z << "]";
+  wrong << "offset_in_camera = [" << x << ", " << -y << ", " << z << "]";
+  edit("scene/project.toml", right.str(), wrong.str());
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("flash." + wrong.str() + " looks as if it were written with y up"));
+  EXPECT_THAT(ran.err, HasSubstr("write " + right.str()));
+  EXPECT_THAT(file_bytes(at("out/run.json")), HasSubstr("looks as if it were written"));
+}
+
+TEST_F(BadInput, ValuesWithACurveThatAreTakenAsLinearAreNoticed) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  const TinyScene s = scene(options);
+  for (int k = 0; k < 4; ++k) change(s, k, [](float v, std::size_t) { return v <= 0.0031308f ? 12.92f * v : 1.055f * std::pow(v, 1 / 2.4f) - 0.055f; });
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("the photographs look as if they held the sRGB curve, and are taken as linear"));
+  EXPECT_THAT(ran.err, HasSubstr("write encoding = \"srgb\""));
+}
+
+/// What they see of a smooth sphere changes slowly, and its outlines tell.
+TEST_F(BadInput, CamerasOfAnotherScaleAreNoticedByTheMasks) {
+  TinySceneOptions options;
+  options.photographs = 4;
+  const TinyScene s = scene(options);
+  std::istringstream before(file_bytes(s.folder / "sparse/images.txt"));
+  std::ostringstream after;
+  for (std::string line; std::getline(before, line);) {
+    std::istringstream words(line);
+    std::vector<std::string> word{std::istream_iterator<std::string>(words), {}};
+    for (std::size_t i = 5; word.size() == 10 && word[0] != "#" && i < 8; ++i) word[i] = std::to_string(1.3 * std::stod(word[i]));
+    for (const std::string& w : word) after << w << ' ';
+    after << '\n';
+  }
+  put_bytes(s.folder / "sparse/images.txt", after.str());
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr(" % of the pixels that the masks leave show nothing of the cloud"));
+}
+
 TEST_F(BadInput, APhotographThatWasOverexposedAndClippedIsReadWhereItIsNot) {
   TinySceneOptions options;
   options.photographs = 4;
@@ -83,6 +133,7 @@ TEST_F(BadInput, APhotographThatWasOverexposedAndClippedIsReadWhereItIsNot) {
   ASSERT_EQ(ran.code, 0) << ran.err;
   EXPECT_THAT(json("out/run.json").at("notes").dump(), HasSubstr("photo_01.exr: "));
   EXPECT_THAT(json("out/run.json").at("notes").dump(), HasSubstr("pixels share the brightest value of the file"));
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("pixels that the masks leave")));
   EXPECT_NEAR(lights().at("exposures").at("photo_01").get<double>(), 2, 0.04);
   EXPECT_LE(error_of(s).absolute, 0.02);
 }

@@ -56,10 +56,13 @@ TEST_F(ExitCode, IsTwoForAWrongCommandLine) {
     EXPECT_EQ(run("out", words).code, 2) << words[0] << " " << words.back();
 }
 
-TEST_F(ExitCode, IsNotZeroWithoutAProjectFile) {
-  const ProcessResult ran = chiaro({"run", at("nothing.toml").string()});
-  EXPECT_THAT(ran.code, testing::AnyOf(1, 2));
-  EXPECT_THAT(ran.err, HasSubstr("nothing.toml"));
+TEST_F(ExitCode, IsTwoWithoutAProjectFile) {
+  for (const fs::path& file : {at("nothing.toml"), scratch_.path()}) {
+    const ProcessResult ran = chiaro({"run", file.string()});
+    EXPECT_EQ(ran.code, 2);
+    EXPECT_THAT(ran.err, HasSubstr(file.string() + ": "));
+    EXPECT_THAT(ran.err, HasSubstr("expected a project file"));
+  }
 }
 
 TEST_F(ExitCode, NamesACloudThatIsMissing) {

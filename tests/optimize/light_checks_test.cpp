@@ -70,6 +70,18 @@ TEST(LightNotes, NameARangeThatIsContradicted) {
   EXPECT_NE(notes[0].find("calibrated range of 6.05 to 9.03 W/sr"), std::string::npos) << notes[0];
 }
 
+TEST(LightNotes, SayThatPhotographsDisagree) {
+  LightSolution s = solution(7, 0.05);
+  const std::vector<LightSample> samples{sample(1, 3, 1)};
+  s.scatter = 0.1;
+  EXPECT_TRUE(light_notes({}, samples, s, "photo", false, true).empty());
+  s.scatter = 0.4;
+  const auto notes = light_notes({}, samples, s, "photo", false, true);
+  ASSERT_EQ(notes.size(), 1u);
+  EXPECT_NE(notes[0].find("differ by 40 %"), std::string::npos) << notes[0];
+  EXPECT_EQ(light_notes({}, samples, s, "photo", true, true).size(), 1u) << "pairs of places within one photograph scatter anyway";
+}
+
 TEST(LightNotes, NameAFlashThatGivesNothing) {
   LightSolution s = solution(7, 0.05);
   s.lights.sky[0] = 1000;
