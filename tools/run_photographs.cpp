@@ -242,7 +242,7 @@ void PhotographStages::raycast(Shoot& shoot) {
   const Acquisition& a = *shoot.acquisition;
   std::vector<Vec3d> centres;
   for (const Photo& photo : shoot.photos) centres.push_back(photo.camera.pose.centre_in_world());
-  if (const auto note = cameras_in_one_spot(centres, store.manifest().bounds, store.manifest().unit)) run_.note_both(concat("acquisition \"", a.name, "\": ", *note));
+  if (const auto note = cameras_in_one_spot(centres, store_.manifest().bounds, store_.manifest().unit)) run_.note_both(concat("acquisition \"", a.name, "\": ", *note));
   std::vector<Photo> kept;
   for (Photo& photo : shoot.photos) {
     surfels::GBufferOptions options;
@@ -267,7 +267,7 @@ void PhotographStages::raycast(Shoot& shoot) {
       masked_.used_on_cloud += info["pixels_hit_in_mask"].get<std::uint64_t>();
     }
     if (info["pixels_hit"] == 0) {
-      run_.leave_out(*photo.input, concat("it sees nothing of the cloud", far_camera(photo.camera.pose.centre_in_world(), store.manifest().bounds, store.manifest().unit).value_or("")));
+      run_.leave_out(*photo.input, concat("it sees nothing of the cloud", far_camera(photo.camera.pose.centre_in_world(), store_.manifest().bounds, store_.manifest().unit).value_or("")));
       continue;
     }
     pixels_on_cloud_ += info["pixels_hit"].get<std::uint64_t>();
