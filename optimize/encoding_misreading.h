@@ -16,7 +16,7 @@ struct EncodingMisreading {
   double scatter = 0, scatter_as_taken = 0;   ///< of ln albedo between photographs (LightSolution::scatter), of the same samples. A curve makes all differences larger or smaller: both are for values as they were taken
 };
 
-/// Whether the first is so much less than the second that it is worth telling.
+/// Whether the first is so much less than the second that it is worth telling, and by itself what photographs of one surface differ by.
 bool explains_far_better(double scatter, double as_taken);
 
 /// Solves for the lights by the values as they are, with the curve taken off, and with it put on. Values have to be those of a picture, white at 1: where some lie above, nothing is found.

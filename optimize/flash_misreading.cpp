@@ -11,6 +11,7 @@ namespace {
 
 constexpr double kFarLess = 0.85;   ///< offsets that are right: 1.1 and more, of four scenes; y and z turned over: 0.35, 0.48, 0.78, 0.85
 constexpr double kAsMuch = 1.2;     ///< 1.14 in a chamber with y and z turned over
+constexpr double kExplained = 0.1;  ///< surfaces that no reading explains, as metal, say nothing
 constexpr double kLit = 0.8;        ///< of the flash without shadows
 constexpr std::size_t kLeastGroups = 100;
 
@@ -62,7 +63,7 @@ std::vector<OffsetReading> usual_readings() {
   return readings;
 }
 
-bool is_worth_telling(const Misreading& m, bool light_varies) { return m.scatter < (light_varies ? kAsMuch : kFarLess) * m.scatter_corrected; }
+bool is_worth_telling(const Misreading& m, bool light_varies) { return m.scatter < kExplained && m.scatter < (light_varies ? kAsMuch : kFarLess) * m.scatter_corrected; }
 
 std::optional<Misreading> find_misreading(std::span<const LightSample> samples, std::span<const Vec3f> position, std::span<const Vec3f> normal, const FlashUnder& flash_under,
                                           std::span<const ReferenceSample> references, const LightSolveOptions& options, const Lights& as_written) {

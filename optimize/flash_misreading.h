@@ -29,7 +29,7 @@ struct Misreading {
   double scatter_corrected = 0;                 ///< as written, with what was taken out in the end (light that varies, a shift, a falloff)
 };
 
-/// Whether it leaves far less than the offset as written does with all that was taken out; or, where that was light that varies from photograph to photograph, about as little by itself.
+/// Whether it explains the photographs and leaves far less than the offset as written does with all that was taken out; or, where that was light that varies from photograph to photograph, about as little by itself.
 bool is_worth_telling(const Misreading& misreading, bool light_varies);
 
 /// Solves for the lights under each reading, from what no shadow of the flash reaches as the offset is written. Where another flash would cast shadows is not looked for: that speaks

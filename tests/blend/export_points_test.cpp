@@ -17,6 +17,7 @@
 #include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
 #include "tests/blend/noting_reporter.h"
+#include "tests/support/planes.h"
 #include "tools/export_rows.h"
 #include "tools/fill_unseen.h"
 #include "tools/inserted_points.h"
@@ -161,11 +162,7 @@ class ExportPoints : public ::testing::Test {
         sigma[i] = 0.01f * static_cast<float>(1 + sources[i] % 7);
         photos[i] = static_cast<std::uint16_t>(1 + sources[i] % 5);
       }
-      std::vector<std::byte> planar(n * 18);
-      std::memcpy(planar.data(), albedo.data(), 12 * n);
-      std::memcpy(planar.data() + 12 * n, sigma.data(), 4 * n);
-      std::memcpy(planar.data() + 16 * n, photos.data(), 2 * n);
-      writer.write_chunk(leaf, planar);
+      writer.write_chunk(leaf, tests::planes_of(albedo, sigma, photos));
     }
     writer.finish_inner(silent_reporter());
     writer.commit();
@@ -311,10 +308,7 @@ TEST_F(ExportPoints, WhatIsNearerFillsMore) {
     for (std::size_t c = 0; c < 3; ++c) values[3 * c + i] = sources[i] == 0 ? 0.2f : 0.8f;
     photos[i] = 1;
   }
-  std::vector<std::byte> planar(3 * 18);
-  std::memcpy(planar.data(), values.data(), 48);
-  std::memcpy(planar.data() + 48, photos.data(), 6);
-  writer.write_chunk(store.leaves()[0], planar);
+  writer.write_chunk(store.leaves()[0], tests::planes_of(values, photos));
   writer.finish_inner(silent_reporter());
   writer.commit();
   ExportOptions options = to("filled.ply");
@@ -342,10 +336,7 @@ TEST_F(ExportPoints, FourSpacingsFromWhatIsSeenTheCoarserLevelsFill) {
       for (std::size_t plane = 0; plane < 4; ++plane) values[plane * n + corner] = 0.2f;
       photos[corner] = 1;
     }
-    std::vector<std::byte> planar(n * 18);
-    std::memcpy(planar.data(), values.data(), 16 * n);
-    std::memcpy(planar.data() + 16 * n, photos.data(), 2 * n);
-    writer.write_chunk(l, planar);
+    writer.write_chunk(l, tests::planes_of(values, photos));
   }
   writer.finish_inner(silent_reporter());
   writer.commit();
@@ -382,10 +373,7 @@ TEST_F(ExportPoints, AFlatAlbedoIsFilledFlat) {
         for (std::size_t c = 0; c < 3; ++c) values[c * n + i] = std::nanf("");
         photos[i] = 0;
       }
-    std::vector<std::byte> planar(n * 18);
-    std::memcpy(planar.data(), values.data(), 16 * n);
-    std::memcpy(planar.data() + 16 * n, photos.data(), 2 * n);
-    writer.write_chunk(leaf, planar);
+    writer.write_chunk(leaf, tests::planes_of(values, photos));
   }
   writer.finish_inner(silent_reporter());
   writer.commit();

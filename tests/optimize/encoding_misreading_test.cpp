@@ -24,7 +24,7 @@ Lights lights() {
 }
 
 /// Places lit in three photographs by a flash from three distances, with values that `curve` makes of linear ones.
-std::vector<LightSample> samples_of(const std::function<double(double)>& curve, double brightness = 1) {
+std::vector<LightSample> samples_of(const std::function<double(double)>& curve, double noise = kNoise) {
   std::vector<LightSample> samples;
   for (std::uint32_t i = 0; i < 400; ++i) {
     const auto u = uniform01x4(7, Purpose::kTest, i, 0);
@@ -36,7 +36,7 @@ std::vector<LightSample> samples_of(const std::function<double(double)>& curve, 
       s.flash = 0.1f + 0.7f * static_cast<float>(u[k]) * static_cast<float>(k + 1);
       s.sky[0] = static_cast<float>(kPi);
       s.variance = static_cast<float>(kNoise * kNoise);
-      const double b = brightness * albedo * (static_cast<double>(s.flash) + 0.02 * kPi) * std::exp(kNoise * normal01(8, Purpose::kTest, 10 * i + k, 0));
+      const double b = albedo * (static_cast<double>(s.flash) + 0.02 * kPi) * std::exp(noise * normal01(8, Purpose::kTest, 10 * i + k, 0));
       s.radiosity.fill(static_cast<float>(kPi * curve(b / kPi)));
       samples.push_back(s);
     }
@@ -63,6 +63,11 @@ TEST(EncodingMisreading, ACurveThatWasTakenOffLinearValuesIsNoticed) {
   ASSERT_TRUE(found);
   EXPECT_EQ(found->change, CurveChange::kEncode);
   EXPECT_THAT(encoding_note(*found), HasSubstr("write encoding = \"linear\""));
+}
+
+TEST(EncodingMisreading, SurfacesThatNothingExplainsSayNothing) {
+  ASSERT_TRUE(find_encoding_misreading(samples_of(decoded, 0.05), {}, lights()));
+  EXPECT_FALSE(find_encoding_misreading(samples_of(decoded, 0.25), {}, lights()));
 }
 
 TEST(EncodingMisreading, ValuesBeyondWhiteHaveNoCurve) { EXPECT_FALSE(find_encoding_misreading(samples_of([](double v) { return 4 * encoded(v); }), {}, lights())); }

@@ -109,11 +109,12 @@ TEST(FlashMisreading, AFewPlacesSayNothing) {
 }
 
 TEST(FlashMisreading, IsToldWhereItLeavesFarLessOrAsLittleAsLightThatVaries) {
-  const auto told = [](double scatter, bool light_varies) { return is_worth_telling({usual_readings().front(), scatter, 2, 1}, light_varies); };
-  EXPECT_TRUE(told(0.8, false));
-  EXPECT_FALSE(told(0.9, false));
-  EXPECT_TRUE(told(1.1, true));
-  EXPECT_FALSE(told(1.3, true));
+  const auto told = [](double scatter, bool light_varies) { return is_worth_telling({usual_readings().front(), scatter, 0.02, 0.01}, light_varies); };
+  EXPECT_TRUE(told(0.008, false));
+  EXPECT_FALSE(told(0.009, false));
+  EXPECT_TRUE(told(0.011, true));
+  EXPECT_FALSE(told(0.013, true));
+  EXPECT_FALSE(is_worth_telling({usual_readings().front(), 0.3, 0.6, 0.6}, false)) << "it does not explain the photographs either";
 }
 
 TEST(FlashMisreading, TheNoteSaysWhatToWrite) {

@@ -2,10 +2,10 @@
 
 #include <gtest/gtest.h>
 
-#include <cstring>
 
 #include "stream/base/file.h"
 #include "stream/photo/image_io.h"
+#include "tests/support/planes.h"
 #include "tests/support/sampled_surface.h"
 
 namespace chiaro::optimize {
@@ -19,11 +19,7 @@ stream::Layer write_even_layer(const stream::Store& store) {
     const std::size_t n = store.read_chunk(leaf).count;
     const std::vector<float> albedo(3 * n, kAlbedo), sigma(n, 0.01f);
     const std::vector<std::uint16_t> photos(n, 1);
-    std::vector<std::byte> planar(n * 18);
-    std::memcpy(planar.data(), albedo.data(), 12 * n);
-    std::memcpy(planar.data() + 12 * n, sigma.data(), 4 * n);
-    std::memcpy(planar.data() + 16 * n, photos.data(), 2 * n);
-    writer.write_chunk(leaf, planar);
+    writer.write_chunk(leaf, tests::planes_of(albedo, sigma, photos));
   }
   writer.finish_inner(silent_reporter());
   writer.commit();
