@@ -8,6 +8,7 @@ cloud keeps every N-th point of a random order, so that photographs hold detail 
 numpy, OpenEXR and pillow from PyPI. An enlargement of 12 makes photographs of 44 million pixels, and takes 35 GB of disk where each pixel is read by itself.
 """
 import argparse
+import multiprocessing
 import re
 import shutil
 import sys
@@ -76,7 +77,7 @@ def measure(options, scene, copy, truth, binning):
     code, core, peak = chiaro_runs.timed(command, log)
     seconds = time.monotonic() - start
     lens = (copy / "sparse/cameras.txt").read_text().splitlines()[-1].split()
-    cells = sorted(set(re.findall(r"cells of (\d+) x", log.read_text())))
+    cells = sorted(set(re.findall(r"cells of (\d+) x", log.read_text()))) if binning == "auto" else [binning]
     row = [scene.name, "%.1f" % (int(lens[2]) * int(lens[3]) / 1e6), str(len(truth)), binning, ", ".join("%s x %s" % (c, c) for c in cells) or "–"]
     if code not in (0, 3):
         return "| %s | exit %d |" % (" | ".join(row), code)
@@ -104,7 +105,12 @@ def main():
         scene_copy.link_scene(scene, copy)
         truth = np.load(scene / "truth/albedo.npy")
         if options.enlarge > 1:
-            enlarge(scene, copy, options.enlarge)
+            # In a process of its own: a child's largest resident set begins with its parent's.
+            making = multiprocessing.get_context("spawn").Process(target=enlarge, args=(scene, copy, options.enlarge))
+            making.start()
+            making.join()
+            if making.exitcode != 0:
+                sys.exit("enlarging %s failed" % scene)
         if options.thin > 1:
             truth = thin(scene, copy, options.thin)
         for binning in options.binning:
