@@ -2,26 +2,24 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 #include <vector>
 
 #include "optimize/light_residuals.h"
 #include "stream/base/error.h"
+#include "stream/photo/image_io.h"
 
 namespace chiaro::optimize {
 namespace {
 
-constexpr double kPi = 3.14159265358979;
+constexpr double kPi = std::numbers::pi;
 constexpr double kFarBetter = 0.75;   ///< curves that were there: 0.14 to 0.53, of three scenes; linear values, as if they had one: 4 and more
 constexpr double kExplained = 0.1;    ///< scatter of surfaces that the model does not explain either way, as metal, says nothing: a bronze in JPEG files 0.32 without the curve, 0.55 with it
 constexpr double kFlashSd = 1;        ///< of ln: a calibrated range is in the numbers of pictures whose curve nobody has thought of
 constexpr double kWhite = 1.001;
 constexpr std::size_t kLeastGroups = 100;
 
-/// Of values from 0 to 1 (IEC 61966-2-1).
-double srgb_decoded(double v) { return v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4); }
-double srgb_encoded(double v) { return v <= 0.0031308 ? v * 12.92 : 1.055 * std::pow(v, 1 / 2.4) - 0.055; }
-
-double changed(CurveChange change, double v) { return change == CurveChange::kDecode ? srgb_decoded(v) : srgb_encoded(v); }
+double changed(CurveChange change, double v) { return change == CurveChange::kDecode ? stream::linear_from_srgb(v) : stream::srgb_from_linear(v); }
 
 /// How many times larger it makes a small relative difference.
 double enlarges(CurveChange change, double v) {

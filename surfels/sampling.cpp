@@ -53,10 +53,14 @@ double SpacingSamples::spacing_px(const stream::Camera& camera) const {
   return 0;
 }
 
+int most_cell(int width_px, int height_px) {
+  constexpr double kLeastCells = 4e6, kMost = 64;
+  return static_cast<int>(std::clamp(std::sqrt(static_cast<double>(width_px) * height_px / kLeastCells), 1.0, kMost));
+}
+
 int cell_for(double spacing_px, int width_px, int height_px) {
-  constexpr double kCellsPerSpacing = 4, kLeastCells = 4e6, kMost = 64;
-  const double most = std::sqrt(static_cast<double>(width_px) * height_px / kLeastCells);
-  return static_cast<int>(std::clamp(std::min(spacing_px / kCellsPerSpacing, most), 1.0, kMost));
+  constexpr double kCellsPerSpacing = 4;
+  return static_cast<int>(std::clamp(spacing_px / kCellsPerSpacing, 1.0, static_cast<double>(most_cell(width_px, height_px))));
 }
 
 }  // namespace chiaro::surfels

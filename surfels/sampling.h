@@ -27,5 +27,7 @@ class SpacingSamples {
 /// Side of the cells of pixels that may be taken as one: points lie four cells apart and more, and four million cells stay, beyond which time and disk matter more than
 /// what is painted finer than that. At most 64.
 int cell_for(double spacing_px, int width_px, int height_px);
+/// The same for a cloud however coarse.
+int most_cell(int width_px, int height_px);
 
 }  // namespace chiaro::surfels

@@ -42,7 +42,7 @@ double factor_to(const Extent& first, const Extent& other) {
   double best = 1, least = kAlike;
   for (const double factor : kFactors) {
     const double unlike = std::exp(std::fabs(std::log(factor * other.size / first.size)));
-    if (!(unlike < least) || !fit(first, {factor * other.middle, factor * other.size})) continue;
+    if (!(unlike < least) || !fit(first, scaled(other, factor))) continue;
     best = factor;
     least = unlike;
   }

@@ -190,11 +190,13 @@ std::uint64_t PhotographStages::bytes_there() const {
   return bytes;
 }
 
-int PhotographStages::binning_of(const Acquisition& a, const Photo& photo) const {
+int PhotographStages::binning_of(const Acquisition& a, const Photo& photo) {
   if (a.binning) return *a.binning;
   if (run_.project.blend.refine == BlendRefine::kImage) return 1;   // which asks for each pixel
   const auto [width, height] = photo.size;
-  return surfels::cell_for(spacing_.spacing_px(photo.camera) * width / photo.camera.lens.width_px, width, height);
+  if (surfels::most_cell(width, height) < 2) return 1;
+  if (!spacing_) spacing_.emplace(store_);
+  return surfels::cell_for(spacing_->spacing_px(photo.camera) * width / photo.camera.lens.width_px, width, height);
 }
 
 void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {

@@ -2,6 +2,7 @@
 #pragma once
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -21,7 +22,7 @@ std::vector<Shoot> read_shoots(RunContext& run);
 /// Photographs that turn out to be of no use are taken out of their shoot and named. throws Error where none is left in any.
 class PhotographStages {
  public:
-  PhotographStages(RunContext& run, const stream::Store& store, std::vector<Shoot>& shoots) : run_(run), store_(store), shoots_(shoots), spacing_(store) {}
+  PhotographStages(RunContext& run, const stream::Store& store, std::vector<Shoot>& shoots) : run_(run), store_(store), shoots_(shoots) {}
 
   /// By which cells each photograph is read, and whether the disk has room for what is kept of their pixels: announced, and throws Error where it has not.
   void plan();
@@ -34,7 +35,7 @@ class PhotographStages {
 
  private:
   void develop_one(const Acquisition& a, Photo& photo);
-  int binning_of(const Acquisition& a, const Photo& photo) const;
+  int binning_of(const Acquisition& a, const Photo& photo);
   std::uint64_t bytes_there() const;
   /// What is said of many photographs alike is said once.
   void tell_development_notes();
@@ -42,7 +43,7 @@ class PhotographStages {
   RunContext& run_;
   const stream::Store& store_;
   std::vector<Shoot>& shoots_;
-  const surfels::SpacingSamples spacing_;
+  std::optional<surfels::SpacingSamples> spacing_;   ///< once a photograph is large enough to be read by cells
   std::map<std::string, std::vector<std::string>> development_notes_;   ///< and the files of which they are said
   std::uint64_t pixels_on_cloud_ = 0, pixels_from_behind_ = 0;
   std::map<std::string, std::uint64_t> pixels_left_by_mask_;            ///< of each photograph that has a mask
