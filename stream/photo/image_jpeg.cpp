@@ -69,6 +69,9 @@ class JpegReader : public detail::RowReader {
 
   void read_rows(int y0, int rows, float* out) override {
     const std::size_t count = row_.size();
+    // Of a progressive file this unpacks all of it: not for its size alone.
+    if (!started_) call_at(0, [&] { jpeg_start_decompress(&jpeg_); });
+    started_ = true;
     for (int y = y0; y < y0 + rows; ++y, out += count) {
       JSAMPROW row = row_.data();
       call_at(y, [&] { jpeg_read_scanlines(&jpeg_, &row, 1); });
@@ -103,7 +106,7 @@ class JpegReader : public detail::RowReader {
     read_profile();
     for (const jpeg_marker_struct* m = jpeg_.marker_list; m; m = m->next)
       if (m->marker == JPEG_APP0 + 1) detail::note_orientation(detail::exif_orientation({m->data, m->data_length}), info);
-    call_at(0, [&] { jpeg_start_decompress(&jpeg_); });
+    call_at(0, [&] { jpeg_calc_output_dimensions(&jpeg_); });
     info.format = "JPEG";
     info.channels = jpeg_.output_components;
     info.bits = 8;
@@ -121,6 +124,7 @@ class JpegReader : public detail::RowReader {
     if (found) detail::read_profile({data, size}, info);
   }
 
+  bool started_ = false;
   std::filesystem::path path_;
   detail::FilePtr file_;
   ErrorManager errors_;

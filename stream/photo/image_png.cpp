@@ -67,6 +67,7 @@ class PngReader : public detail::RowReader {
   ~PngReader() override { png_destroy_read_struct(&png_, &info_, nullptr); }
 
   void read_rows(int y0, int rows, float* out) override {
+    if (interlaced_ && whole_.empty()) read_whole();
     for (int y = y0; y < y0 + rows; ++y, out += samples()) {
       const png_byte* bytes = row_.data();
       if (interlaced_)
@@ -115,7 +116,7 @@ class PngReader : public detail::RowReader {
     read_profile();
     row_.resize(png_get_rowbytes(png_, info_));
     if (row_.size() != samples() * static_cast<std::size_t>(info.bits / 8)) throw Error(concat(path_.string(), ": PNG row of ", row_.size(), " bytes"));
-    if (interlaced_) read_whole(options);
+    if (interlaced_) detail::check_buffer(path_, row_.size() * static_cast<std::uint64_t>(info.height), options.limits, "an interlaced PNG");
   }
 
   void read_profile() {
@@ -131,8 +132,7 @@ class PngReader : public detail::RowReader {
   }
 
   /// An interlaced picture is complete only at the end of the file.
-  void read_whole(const ImageOptions& options) {
-    detail::check_buffer(path_, row_.size() * static_cast<std::uint64_t>(info.height), options.limits, "an interlaced PNG");
+  void read_whole() {
     whole_.resize(row_.size() * static_cast<std::size_t>(info.height));
     std::vector<png_bytep> rows(static_cast<std::size_t>(info.height));
     for (std::size_t y = 0; y < rows.size(); ++y) rows[y] = whole_.data() + y * row_.size();
