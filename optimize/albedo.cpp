@@ -161,6 +161,12 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
 
 }  // namespace
 
+std::vector<stream::PlaneInfo> albedo_planes() {
+  std::vector<stream::PlaneInfo> planes;
+  for (const char* name : {"r", "g", "b", "sigma", "shared", "direct", "indirect", "ambient"}) planes.push_back({name, stream::PlaneType::kF32, stream::Precision::kFine});
+  return planes;
+}
+
 AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, const LightSolution& lights, const Vec3d& flash_in_world,
                          const AlbedoInputs& inputs, const AlbedoOptions& options, const std::filesystem::path& raster, Reporter& report) {
   const stream::RasterReader radiance(photograph.radiance), gbuffer(photograph.gbuffer);
@@ -168,10 +174,7 @@ AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, con
   std::vector<float> gathered, floor_flash;
   if (!options.direct_only) gathered = read_floats(inputs.gathered, scene.proxy.size() * 3);
   if (!options.direct_only && lights.lights.floor) floor_flash = read_floats(inputs.floor_flash, scene.proxy.size());
-  const char* names[] = {"r", "g", "b", "sigma", "shared", "direct", "indirect", "ambient"};
-  std::vector<stream::PlaneInfo> planes;
-  for (const char* name : names) planes.push_back({name, stream::PlaneType::kF32});
-  stream::RasterWriter out(raster, width, height, planes);
+  stream::RasterWriter out(raster, width, height, albedo_planes());
   const Vec3d flash = flash_in_world - scene.proxy.origin_in_world;
   const Context context{scene, photograph, lights, gathered, floor_flash, options, inputs.own.exposure, photograph.ambient_scale * inputs.own.ambient, inputs.own.ambient_ln_sd, inputs.own.exposure_ln_sd,
                         (flash + photograph.camera.pose.rotation_camera_from_world.transpose() * inputs.pattern.flash_shift).cast<float>(), flash.cast<float>(),
@@ -194,7 +197,8 @@ AlbedoStats solve_albedo(const Scene& scene, const ObserveInput& photograph, con
       for (std::size_t i = 0; i < pixels.size(); ++i) values[i] = get(pixels[i]);
       out.write_rows<float>(plane, y0, values);
     };
-    for (std::size_t c = 0; c < 3; ++c) put(names[c], [c](const PixelAlbedo& p) { return p.albedo[c]; });
+    constexpr const char* kChannels[] = {"r", "g", "b"};
+    for (std::size_t c = 0; c < 3; ++c) put(kChannels[c], [c](const PixelAlbedo& p) { return p.albedo[c]; });
     put("sigma", [](const PixelAlbedo& p) { return p.sigma; });
     put("shared", [](const PixelAlbedo& p) { return p.shared; });
     put("direct", [](const PixelAlbedo& p) { return p.direct; });

@@ -2,8 +2,10 @@
 #pragma once
 #include <filesystem>
 #include <string>
+#include <vector>
 
 #include "optimize/acquisition.h"
+#include "stream/photo/raster.h"
 
 namespace chiaro::optimize {
 
@@ -23,6 +25,9 @@ struct AlbedoStats {
   std::uint64_t pixels = 0, pixels_solved = 0, pixels_dark = 0, pixels_above_one = 0, pixels_impossible = 0;   ///< impossible: an albedo above 2, or a radiance below zero by more than its noise, given no value
   double median_sigma = 0;
 };
+
+/// Of a photograph's albedo raster.
+std::vector<stream::PlaneInfo> albedo_planes();
 
 /// Writes `raster` with f32 planes r g b (albedo; NaN = no value), sigma (independent between photographs), shared (what all photographs of a surfel
 /// share: lights, normals, gather), direct, indirect, ambient (shares of the irradiance, sum 1). By bands of rows, in bounded memory.

@@ -5,6 +5,7 @@
 #include <limits>
 #include <map>
 
+#include "optimize/albedo.h"
 #include "optimize/photo_band.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
@@ -81,9 +82,7 @@ void write_albedo_pictures(const std::filesystem::path& raster, const std::files
 void colour_as_albedo(const ObserveInput& photograph, const std::filesystem::path& raster, Reporter& report) {
   const stream::RasterReader radiance(photograph.radiance), gbuffer(photograph.gbuffer);
   const int width = gbuffer.width(), height = gbuffer.height();
-  std::vector<stream::PlaneInfo> planes;
-  for (const char* name : {"r", "g", "b", "sigma", "shared", "direct", "indirect", "ambient"}) planes.push_back({name, stream::PlaneType::kF32});
-  stream::RasterWriter out(raster, width, height, planes);
+  stream::RasterWriter out(raster, width, height, albedo_planes());
   for (int y0 = 0; y0 < height; y0 += kBandRows) {
     report.check();
     const int rows = std::min(kBandRows, height - y0);

@@ -20,6 +20,12 @@ using stream::PlaneType;
 constexpr int kBandRows = 64;
 constexpr float kCasterSlack = 0.5f;   ///< how well discs tell where a surface ends, in radii
 
+/// Depths are compared with each other; what says how sure something is need not be known well itself.
+stream::Precision precision_of(std::string_view plane) {
+  if (plane == "depth") return stream::Precision::kAll;
+  return plane == "spread" || plane == "penumbra" || plane == "shadow" ? stream::Precision::kCoarse : stream::Precision::kFine;
+}
+
 const std::vector<std::string>& float_planes(bool flash) {
   static const std::vector<std::string> geometry{"depth", "nx", "ny", "nz", "radius", "footprint", "cosv", "coverage"};
   static const std::vector<std::string> with_flash = [] {
@@ -290,11 +296,11 @@ GBufferStats write_gbuffer(const stream::Store& store, const stream::Camera& cam
                            MemoryBudget& budget, Reporter& report) {
   if (options.subpixels < 1 || options.subpixels > 16) throw std::invalid_argument("GBufferOptions::subpixels must be 1 to 16");
   std::vector<stream::PlaneInfo> planes;
-  for (const std::string& name : float_planes(options.flash_in_camera.has_value())) planes.push_back({name, PlaneType::kF32});
+  for (const std::string& name : float_planes(options.flash_in_camera.has_value())) planes.push_back({name, PlaneType::kF32, precision_of(name)});
   planes.push_back({"chunk", PlaneType::kU32});
   planes.push_back({"slot", PlaneType::kU16});
-  planes.push_back({"edge", PlaneType::kF32});
-  if (options.flash_in_camera) planes.push_back({"shadow", PlaneType::kF32});
+  planes.push_back({"edge", PlaneType::kF32, precision_of("edge")});
+  if (options.flash_in_camera) planes.push_back({"shadow", PlaneType::kF32, precision_of("shadow")});
   const int width = camera.lens.width_px, height = camera.lens.height_px;
   report.begin(concat("raycast ", camera.photograph), static_cast<std::uint64_t>(height), "rows");
   stream::RasterWriter out(out_path, width, height, planes);

@@ -88,6 +88,15 @@ class CamerasTaken {
   std::string example_;
 };
 
+/// Disk for the pixels of a photograph: for its rasters as they are kept, where the object fills it (rendered scenes take 33 to 39 bytes a pixel; background next to
+/// nothing); and for the largest of them, with a flash, while it is made. Pictures for the user are smaller.
+std::uint64_t bytes_kept(std::uint64_t pixels, bool flash, bool solves) {
+  constexpr std::uint64_t kRadiance = 9, kSeen = 15, kOfFlash = 5, kAlbedo = 14;
+  return pixels * (kRadiance + kSeen + (solves && flash ? kOfFlash : 0) + (flash || !solves ? kAlbedo : 0));
+}
+constexpr std::uint64_t kBytesWhileMade = 62;
+constexpr std::uint64_t kLeastShare = 4;   ///< background and even pictures may well leave only so small a part of what is estimated
+
 }  // namespace
 
 std::vector<Shoot> read_shoots(RunContext& run) {
@@ -162,10 +171,8 @@ void PhotographStages::tell_development_notes() {
 }
 
 void PhotographStages::plan() {
-  // Rasters of radiance; of what a pixel sees, and with a flash of its light; of albedo. Pictures for the user are compressed.
-  constexpr std::uint64_t kOfAny = 13 + 42, kOfFlash = 20, kOfAlbedo = 32;
   const bool solves = run_.project.method != SolveMethod::kNone;
-  std::uint64_t bytes = 0, photographs = 0;
+  std::uint64_t kept = 0, there = 0, while_made = 0, photographs = 0;
   for (Shoot& shoot : shoots_)
     for (Photo& photo : shoot.photos) {
       try {
@@ -175,19 +182,28 @@ void PhotographStages::plan() {
       }
       photo.binning = binning_of(*shoot.acquisition, photo);
       const std::uint64_t pixels = static_cast<std::uint64_t>(photo.size.width_px / photo.binning) * static_cast<std::uint64_t>(photo.size.height_px / photo.binning);
-      bytes += pixels * (kOfAny + (solves && shoot.has_flash() ? kOfFlash : 0) + (shoot.has_flash() || !solves ? kOfAlbedo : 0));
+      kept += bytes_kept(pixels, shoot.has_flash(), solves);
       ++photographs;
+      const PhotographDisk on_disk = disk_of(photo.input->key, shoot.has_flash() || !solves);
+      there += on_disk.bytes;
+      if (!on_disk.whole) while_made = std::max(while_made, pixels * kBytesWhileMade);
     }
-  run_.report.note(concat(photographs, photographs == 1 ? " photograph: " : " photographs: ", format_bytes(bytes), " of disk for what is kept of ", photographs == 1 ? "its" : "their", " pixels"));
-  require_disk_space(run_.folder.work(), "what is kept of the photographs' pixels", bytes, free_disk_bytes(run_.folder.root) + bytes_there());
+  run_.report.note(concat(photographs, photographs == 1 ? " photograph: " : " photographs: ", "up to ", format_bytes(kept), " of disk for what is kept of ", photographs == 1 ? "its" : "their", " pixels; background takes little"));
+  const std::uint64_t free = free_disk_bytes(run_.folder.root) + there;
+  require_disk_space(run_.folder.work(), "what is kept of the photographs' pixels", while_made + kept / kLeastShare, free);
+  if (while_made > 0 && free < while_made + kept)
+    run_.note_both(concat("the disk of ", run_.folder.root.string(), " has ", format_bytes(free), " for them, which may be too little; a run that stops at a full disk goes on where it was once there is room"));
 }
 
-std::uint64_t PhotographStages::bytes_there() const {
-  std::uint64_t bytes = 0;
-  for (const Shoot& shoot : shoots_)
-    for (const Photo& photo : shoot.photos)
-      for (const auto& file : {run_.folder.radiance(photo.input->key), run_.folder.gbuffer(photo.input->key), run_.folder.albedo(photo.input->key)}) bytes += allocated_bytes(file);
-  return bytes;
+PhotographStages::PhotographDisk PhotographStages::disk_of(const std::string& key, bool with_albedo) const {
+  PhotographDisk disk{0, true};
+  std::vector<std::filesystem::path> rasters{run_.folder.radiance(key), run_.folder.gbuffer(key)};
+  if (with_albedo) rasters.push_back(run_.folder.albedo(key));
+  for (const auto& raster : rasters) {
+    disk.bytes += allocated_bytes(raster);
+    disk.whole = disk.whole && std::filesystem::exists(raster);
+  }
+  return disk;
 }
 
 int PhotographStages::binning_of(const Acquisition& a, const Photo& photo) {

@@ -24,7 +24,7 @@ class PhotographStages {
  public:
   PhotographStages(RunContext& run, const stream::Store& store, std::vector<Shoot>& shoots) : run_(run), store_(store), shoots_(shoots) {}
 
-  /// By which cells each photograph is read, and whether the disk has room for what is kept of their pixels: announced, and throws Error where it has not.
+  /// By which cells each photograph is read, and what of the disk is kept of their pixels: announced, noted where the disk may be too small, and throws Error where it is.
   void plan();
   void develop(Shoot& shoot);
   void raycast(Shoot& shoot);
@@ -36,7 +36,11 @@ class PhotographStages {
  private:
   void develop_one(const Acquisition& a, Photo& photo);
   int binning_of(const Acquisition& a, const Photo& photo);
-  std::uint64_t bytes_there() const;
+  struct PhotographDisk {
+    std::uint64_t bytes = 0;   ///< of the rasters that are there
+    bool whole = false;        ///< none is missing
+  };
+  PhotographDisk disk_of(const std::string& key, bool with_albedo) const;
   /// What is said of many photographs alike is said once.
   void tell_development_notes();
 

@@ -7,7 +7,7 @@ packages=(
   g++ cmake ninja-build ccache pkg-config git ca-certificates   # to build
   libeigen3-dev libtbb-dev libboost-dev nlohmann-json3-dev libcli11-dev libtomlplusplus-dev   # base, command line, project file
   libembree-dev libnanoflann-dev                                # rays and neighbours
-  libopenexr-dev libimath-dev libtiff-dev libpng-dev libjpeg-dev libraw-dev libpugixml-dev   # photographs and cameras
+  libopenexr-dev libimath-dev libtiff-dev libpng-dev libjpeg-dev libraw-dev libblosc-dev libpugixml-dev   # photographs and cameras
   libpcl-dev                                                    # PCD files, outliers, alignment of scans
   libgtest-dev libgmock-dev                                     # tests
 )

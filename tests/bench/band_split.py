@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Two ways to split photographs into bands before they are blended on points: on the surface, and in image pyramids that are read at the surface's scale.
 
-usage: python3 -W ignore tests/bench/band_split.py SCENE RUN      (needs numpy, scipy from PyPI; SCENE and RUN as for blend_figures.py)
+usage: python3 -W ignore tests/bench/band_split.py SCENE RUN      (needs numpy, scipy, blosc from PyPI; SCENE and RUN as for blend_figures.py)
 
 Both take the run's working images, the same weights (cos^2 / footprint^2, falling to 0 over 12 pixels towards silhouettes and the image border; to the power of 1 in the
 lowest band, 1.5 in the highest, evenly between) and the same reading at points, so that only the split differs:

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What blending does to the albedo of single photographs: error, seams, sharpness, coverage, beside the plain weighted mean and the best photograph.
 
-usage: python3 tests/bench/blend_figures.py SCENE RUN [--band Z0 Z1]      (needs numpy, scipy from PyPI)
+usage: python3 tests/bench/blend_figures.py SCENE RUN [--band Z0 Z1]      (needs numpy, scipy, blosc from PyPI)
 SCENE: a rendered scene with cloud.ply, sparse/ (COLMAP text, PINHOLE) and truth/albedo.npy. RUN: the folder of a finished `chiaro run` of it.
 
 Single photographs are read at the points bilinearly, from the run's own working images, where the point lies on the surface that the pixel sees.
@@ -19,6 +19,7 @@ Single photographs are read at the points bilinearly, from the run's own working
 import argparse
 from pathlib import Path
 
+import blosc
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
@@ -28,17 +29,16 @@ TYPES = {0: "<f4", 1: "<u4", 2: "<u2", 3: "u1"}
 
 
 def raster(path, wanted):
-    data = np.memmap(path, dtype="u1", mode="r")
-    width, height, count = np.frombuffer(data[12:24], "<i4")
-    at = -(-(24 + 40 * count) // 64) * 64
+    data = path.read_bytes()
+    _, width, height, count, rows, _, index = np.frombuffer(data[8:40], "<u4,<i4,<i4,<u4,<u4,<u4,<u8")[0].item()
+    blocks = -(-height // rows)
+    entries = np.frombuffer(data[index:], "<u8,<u4,<u4").reshape(count, blocks)
     planes = {}
     for k in range(count):
-        record = bytes(data[24 + 40 * k : 64 + 40 * k])
+        record = data[40 + 40 * k : 80 + 40 * k]
         name, kind = record[:32].rstrip(b"\0").decode(), np.dtype(TYPES[int.from_bytes(record[32:36], "little")])
-        size = width * height * kind.itemsize
         if name in wanted:
-            planes[name] = np.frombuffer(data[at : at + size].tobytes(), kind).reshape(height, width)
-        at = -(-(at + size) // 64) * 64
+            planes[name] = np.frombuffer(b"".join(blosc.decompress(data[at : at + size]) for at, size, _ in entries[k].tolist()), kind).reshape(height, width)
     return planes
 
 

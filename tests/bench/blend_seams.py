@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Where the seam energy of blend_figures.py lies, and how much of it blending adds.
 
-usage: python3 tests/bench/blend_seams.py SCENE RUN      (needs numpy, scipy from PyPI; SCENE and RUN as for blend_figures.py)
+usage: python3 tests/bench/blend_seams.py SCENE RUN      (needs numpy, scipy, blosc from PyPI; SCENE and RUN as for blend_figures.py)
 
 A step is the difference of the log error between two neighbouring points; across: between points that different photographs saw. Rows, all "across over inside":
   plain        as blend_figures.py has it

@@ -75,17 +75,17 @@ TEST_F(Disk, FullAtAnyMomentIsAClearErrorAndTheRunGoesOnLater) {
 TEST_F(Disk, TooSmallForThePhotographsIsSaidBeforeTheFirst) {
   SmallDisk disk(at("disk"));
   if (!disk.resize(1 << 20)) GTEST_SKIP() << "mounting a small disk is not permitted here: " << std::strerror(errno);
-  scene({.points = 500, .photographs = 4, .width_px = 192, .height_px = 144, .focal_px = 220});
-  // One of them has room: 107 bytes a pixel, 2.9 MB.
-  ASSERT_TRUE(disk.resize(6'000'000));
+  scene({.points = 500, .photographs = 4, .width_px = 384, .height_px = 288, .focal_px = 440});
+  // One of them has room: 62 bytes a pixel while the largest raster is made, and a quarter of 43 a pixel of each photograph.
+  ASSERT_TRUE(disk.resize(9'000'000));
   const ProcessResult ran = run("disk/out");
   EXPECT_EQ(ran.code, 1);
-  EXPECT_THAT(ran.err, HasSubstr("no space: what is kept of the photographs' pixels needs 11.29 MiB, the disk has "));
+  EXPECT_THAT(ran.err, HasSubstr("no space: what is kept of the photographs' pixels needs 11.07 MiB, the disk has "));
   EXPECT_FALSE(fs::exists(at("disk/out/work/photographs/photo_00/radiance.raster")));
   // Cells of four pixels have.
   EXPECT_EQ(run("disk/out", {"--set", "acquisition.binning=4"}).code, 0);
   // What is there already is not asked for again.
-  ASSERT_TRUE(disk.resize(20'000'000));
+  ASSERT_TRUE(disk.resize(40'000'000));
   ASSERT_EQ(run("disk/out").code, 0);
   ASSERT_TRUE(disk.resize(bytes_below(at("disk")) + 4'000'000));
   const ProcessResult again = run("disk/out");

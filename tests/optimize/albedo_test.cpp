@@ -108,7 +108,7 @@ struct Ground : tests::PicturedGround {
   AlbedoStats stats;
 };
 
-constexpr double kRelTol = 2e-6;   // float pixels and positions
+constexpr double kRelTol = 0x1p-16 + 2e-6;   // planes keep 15 bits of the fraction; float pixels and positions
 
 void expect_relative(double found, double expected, const char* what, double tolerance = kRelTol) { EXPECT_NEAR(found / expected, 1, tolerance) << what << ": " << found << ", expected " << expected; }
 
