@@ -123,10 +123,9 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   const double shadow = kShadowDoubt * static_cast<double>(band.shadow[i]) * std::max(direct, unshadowed - direct) / total_mean;
   const double too_bright = brightest > 1 ? 2 * (1 - 1 / brightest) : 0;
   const ErrorModel& errors = c.options.errors;
-  const double noise_variance = c.photograph.noise.gain * std::max(0.0, static_cast<double>(colour[1])) + square(c.photograph.noise.read_sigma);
   const stream::Camera& camera = c.photograph.camera;
   const double blur_sd_px = camera.focus.aperture > 0 ? stream::blur_px(camera, camera.pose.camera_from_world(point.cast<double>() + c.scene.proxy.origin_in_world).z()) / 4 : 0;
-  const double own = (square(errors.registration_px) + square(blur_sd_px)) * square(relative_gradient(band, x, y, noise_variance)) + square(errors.spread * sd * static_cast<double>(band.spread[i])) +
+  const double own = (square(errors.registration_px) + square(blur_sd_px)) * square(relative_gradient(band, x, y, c.photograph.noise)) + square(errors.spread * sd * static_cast<double>(band.spread[i])) +
                      square(errors.other_light * (1 - sd)) + square(errors.rest) + square(kHighlightSd * gloss.highlight);
   const double ambient_factor = c.ambient_ln_sd * gloss.other * ambient / total_mean;   // of this photograph alone
   out.sigma = static_cast<float>(std::sqrt(noise + own + square(shadow) + square(too_bright) + square(ambient_factor) + square(c.exposure_ln_sd)));

@@ -147,7 +147,7 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
     o.spread[s] = flash > 0 ? static_cast<float>(std::sqrt(std::max(0.0, f.flash2 / f.weight - flash * flash)) / flash) : 0.0f;
     o.variance[s] = static_cast<float>(variance);
     o.noise[s] = static_cast<float>(noise_alone);
-    o.gradient[s] = static_cast<float>(relative_gradient(band, cx, cy, input.noise.gain * mean[1] + input.noise.read_sigma * input.noise.read_sigma));
+    o.gradient[s] = static_cast<float>(relative_gradient(band, cx, cy, input.noise));
   });
   return o;
 }

@@ -5,16 +5,12 @@
 #include <optional>
 #include <vector>
 
+#include "optimize/photo_band.h"
 #include "optimize/proxy.h"
 #include "stream/base/report.h"
 #include "stream/photo/camera.h"
 
 namespace chiaro::optimize {
-
-/// Noise of a linear pixel value: variance = gain * value + read_sigma^2.
-struct PixelNoise {
-  double gain = 0, read_sigma = 0;
-};
 
 struct ObserveInput {
   stream::Camera camera;

@@ -1,6 +1,7 @@
 #include "optimize/photo_band.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 namespace chiaro::optimize {
@@ -37,21 +38,29 @@ PhotoBand read_band(const stream::RasterReader& radiance, const stream::RasterRe
   return band;
 }
 
-double relative_gradient(const PhotoBand& band, int x, int y, double noise_variance) {
+double relative_gradient(const PhotoBand& band, int x, int y, const PixelNoise& noise) {
   constexpr double kNoise = 6.2;   // what noise alone makes of it: the larger of two squared differences that share a pixel, along two axes
-  double sum = 0;
+  const std::array<const std::vector<float>*, 3> channels{&band.r, &band.g, &band.b};
   const std::size_t i = band.at(x, y);
+  std::array<double, 3> sum{}, brightness{};
+  for (std::size_t c = 0; c < 3; ++c) brightness[c] = static_cast<double>((*channels[c])[i]);
   for (const auto& [dx, dy] : {std::pair{1, 0}, std::pair{0, 1}}) {
-    double best = 0;
+    std::array<double, 3> best{};
     for (const int sign : {-1, 1}) {
       if (!band.contains(x + sign * dx, y + sign * dy)) continue;
       const std::size_t j = band.at(x + sign * dx, y + sign * dy);
       if (!band.usable(j)) continue;
-      best = std::max(best, std::fabs(static_cast<double>(band.g[j] - band.g[i])));
+      for (std::size_t c = 0; c < 3; ++c) {
+        const auto value = static_cast<double>((*channels[c])[j]);
+        best[c] = std::max(best[c], std::fabs(value - static_cast<double>((*channels[c])[i])));
+        brightness[c] += value;
+      }
     }
-    sum += best * best;
+    for (std::size_t c = 0; c < 3; ++c) sum[c] += best[c] * best[c];
   }
-  return std::sqrt(std::max(0.0, sum - kNoise * noise_variance)) / std::max(1e-9, static_cast<double>(band.g[i]));
+  const auto c = static_cast<std::size_t>(std::max_element(brightness.begin(), brightness.end()) - brightness.begin());
+  const double value = std::max(0.0, static_cast<double>((*channels[c])[i])), variance = noise.variance(value);
+  return std::sqrt(std::max(0.0, sum[c] - kNoise * variance)) / std::max({1e-9, value, std::sqrt(variance)});
 }
 
 Vec3f pixel_point(const stream::Camera& camera, const Vec3d& origin_in_world, int x, int y, float depth) {

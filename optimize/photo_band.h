@@ -9,6 +9,12 @@
 
 namespace chiaro::optimize {
 
+/// Noise of a linear pixel value: variance = gain * value + read_sigma^2.
+struct PixelNoise {
+  double gain = 0, read_sigma = 0;
+  double variance(double value) const { return gain * value + read_sigma * read_sigma; }
+};
+
 struct PhotoBand {
   int y0 = 0, rows = 0, width = 0;
   std::vector<float> r, g, b, depth, nx, ny, nz, radius, footprint, cosv, coverage, edge, flash, spread, lit, shadow;
@@ -26,8 +32,9 @@ struct PhotoBand {
 PhotoBand read_band(const stream::RasterReader& radiance, const stream::RasterReader& gbuffer, int y0, int rows);
 inline constexpr std::uint64_t kBandBytesPerPixel = 16 * 4 + 1;
 
-/// Relative change of the pixel to its neighbours, per pixel: what a registration error of one pixel does. noise_variance: of the pixel's value, taken off.
-double relative_gradient(const PhotoBand& band, int x, int y, double noise_variance);
+/// Relative change of the pixel to its neighbours, per pixel: what a registration error of one pixel does. Of the channel that is brightest around it (the green of a red
+/// paint is nothing but noise); what noise makes of it is taken off.
+double relative_gradient(const PhotoBand& band, int x, int y, const PixelNoise& noise);
 
 /// Point that a pixel sees, in the scene frame of `origin_in_world`.
 Vec3f pixel_point(const stream::Camera& camera, const Vec3d& origin_in_world, int x, int y, float depth);

@@ -296,6 +296,7 @@ TEST(AlbedoSigma, IsTheSameInEveryRowOfAPictureOfManyRows) {
   constexpr int kRows = 300;
   s.photo.camera.lens.cy = kRows / 2.0;
   s.photo.camera.lens.fx = s.photo.camera.lens.fy = 400;
+  s.planes["r"] = s.planes["b"] = even(0.1);
   s.planes["g"] = [](int, int y) { return static_cast<float>(0.2 + (y % 2 ? 1e-3 : 0)); };
   s.photo.camera.lens.height_px = kRows;
   s.solve();

@@ -147,6 +147,21 @@ TEST(Observe, GradientIsWhatNoiseDoesNotMake) {
   EXPECT_NEAR(s.observed().gradient[i], 0.005 / value, 1e-5);
 }
 
+TEST(Observe, GradientIsOfTheBrightestChannel) {
+  Ground s;
+  s.photo.noise = {0, 1e-3};
+  const std::size_t i = s.middle();
+  const Vec2d at = s.in_picture(i);
+  s.planes["r"] = [](int x, int y) { return static_cast<float>(0.2 + 0.004 * x - 0.003 * y); };
+  s.planes["g"] = [](int x, int y) { return (x + y) % 2 ? 0.002f : 0.0003f; };   // red paint: nothing but noise
+  s.planes["b"] = even(0.001);
+  const double value = 0.2 + 0.004 * std::floor(at.x()) - 0.003 * std::floor(at.y());
+  EXPECT_NEAR(s.observed().gradient[i], std::sqrt(0.005 * 0.005 - 6.2e-6) / value, 1e-5);
+  // What is darker than its noise changes beside that, and not beside nothing.
+  s.planes["r"] = s.planes["g"] = s.planes["b"] = [](int x, int y) { return (x + y) % 2 ? 0.004f : 1e-7f; };
+  EXPECT_LT(s.observed().gradient[i], std::sqrt(2 * 0.004 * 0.004 - 6.2e-6) / 1e-3 * 1.001);
+}
+
 TEST(Observe, TakesNoPixelOfAnotherSurfaceOrOfNoValue) {
   Ground s;
   const std::size_t i = s.middle();
