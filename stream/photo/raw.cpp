@@ -4,9 +4,11 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/photo/plateau.h"
 
 namespace chiaro::stream {
 namespace {
@@ -86,6 +88,8 @@ struct RawSource::Impl {
     }
     if (count != std::array<int, 3>{1, 2, 1}) fail("its mosaic is not R G G B");
   }
+  std::uint16_t value(int row, int column) const { return first[static_cast<std::size_t>(row) * pitch + static_cast<std::size_t>(column)]; }
+  int channel_at(int row, int column) const { return channel[static_cast<std::size_t>(2 * (row & 1) + (column & 1))]; }
   char letter(int row, int column) const { return raw->imgdata.idata.cdesc[mosaic_colour(raw->imgdata.idata.filters, row, column)]; }
 
   void read_sizes() {
@@ -98,8 +102,8 @@ struct RawSource::Impl {
     info.camera = concat(data.idata.make, " ", data.idata.model);
     info.sensor_width_px = s.width;
     info.sensor_height_px = s.height;
-    info.width_px = s.width / 2;
-    info.height_px = s.height / 2;
+    info.width_px = s.width / kCellPx;
+    info.height_px = s.height / kCellPx;
     info.crop_left_px = s.left_margin;
     info.crop_top_px = s.top_margin;
     info.notes.push_back(concat("holds the sensor's ", s.width, " x ", s.height, " pixels, read at half size: a camera calibrated on pictures of another size, as the camera's own JPEGs often are by some pixels, does not fit"));
@@ -155,18 +159,34 @@ RawSource::RawSource(RawSource&&) noexcept = default;
 RawSource::~RawSource() = default;
 const RawInfo& RawSource::info() const { return impl_->info; }
 
-std::array<int, 2> RawSource::size_px(const std::filesystem::path& path) {
+std::array<int, 2> RawSource::sensor_size_px(const std::filesystem::path& path) {
   Impl impl;
   impl.path = path;
   impl.open(false);
   const libraw_image_sizes_t& s = impl.raw->imgdata.sizes;
-  return {s.width / 2, s.height / 2};
+  return {s.width, s.height};
 }
 
-void RawSource::read_rows(int y0, int rows, double saturation, float* rgb, std::uint8_t* saturated) const {
+std::array<std::optional<int>, 3> RawSource::heaps() const {
+  constexpr std::size_t kValues = 65536, kLeastAboveBlack = 400;   // below, the values that a heap is compared with are too few
+  const Impl& impl = *impl_;
+  std::array<std::vector<std::uint32_t>, 3> count;
+  for (auto& c : count) c.assign(kValues, 0);
+  for (int row = 0; row < kCellPx * impl.info.height_px; ++row)
+    for (int column = 0; column < kCellPx * impl.info.width_px; ++column)
+      ++count[static_cast<std::size_t>(impl.channel_at(row, column))][impl.value(row, column)];
+  std::array<std::optional<int>, 3> heaps;
+  for (std::size_t c = 0; c < 3; ++c)
+    if (const auto level = plateau_of_counts(count[c]); level && static_cast<double>(*level) >= impl.info.black + static_cast<double>(kLeastAboveBlack)) heaps[c] = static_cast<int>(*level);
+  return heaps;
+}
+
+void RawSource::read_rows(int y0, int rows, double saturation, const std::array<std::optional<int>, 3>& heap, float* rgb, std::uint8_t* saturated) const {
   const Impl& impl = *impl_;
   if (y0 < 0 || rows < 0 || y0 > impl.info.height_px - rows) throw std::invalid_argument("RawSource::read_rows: rows outside the picture");
   const float white = static_cast<float>(impl.info.white), limit = static_cast<float>(saturation);
+  std::array<int, 3> least_full{};
+  for (std::size_t c = 0; c < 3; ++c) least_full[c] = heap[c].value_or(std::numeric_limits<int>::max());
   for (int y = y0; y < y0 + rows; ++y)
     for (int x = 0; x < impl.info.width_px; ++x, rgb += 3, ++saturated) {
       std::array<float, 3> sum{};
@@ -174,9 +194,11 @@ void RawSource::read_rows(int y0, int rows, double saturation, float* rgb, std::
       for (int place = 0; place < 4; ++place) {
         const int row = 2 * y + (place >> 1), column = 2 * x + (place & 1);
         const float black = impl.black[static_cast<std::size_t>(row % impl.black_rows * impl.black_columns + column % impl.black_columns)];
-        const float value = (static_cast<float>(impl.first[static_cast<std::size_t>(row) * impl.pitch + static_cast<std::size_t>(column)]) - black) / (white - black);
-        full = full || value >= limit;
-        sum[static_cast<std::size_t>(impl.channel[static_cast<std::size_t>(place)])] += value;
+        const int count_dn = impl.value(row, column);
+        const float value = (static_cast<float>(count_dn) - black) / (white - black);
+        const auto channel = static_cast<std::size_t>(impl.channel[static_cast<std::size_t>(place)]);
+        full = full || value >= limit || count_dn >= least_full[channel];
+        sum[channel] += value;
       }
       rgb[0] = sum[0];
       rgb[1] = 0.5f * sum[1];
