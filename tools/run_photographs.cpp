@@ -209,6 +209,7 @@ void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
   h.add(p.mask.empty() ? std::string("-") : file_fingerprint(p.mask));
   h.add(a.noise ? a.noise->gain : -1.0).add(a.noise ? a.noise->read_sigma : -1.0);
   h.add(std::uint64_t{run_.project.method != SolveMethod::kNone});
+  if (a.encoding == Encoding::kRaw) h.add("raw 2");   // raised as the pipeline's version is
   if (photo.binning > 1) h.add("cells").add(static_cast<std::uint64_t>(photo.binning));
   photo.radiance_key = h.hex();
   const Json info = run_.task("develop/" + p.key, photo.radiance_key, {run_.folder.radiance(p.key)}, [&] {
@@ -232,11 +233,11 @@ void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
   if (info["pixels_used"] == 0) throw Error("no usable pixel: everything is masked, saturated or not finite");
   if (!p.mask.empty()) pixels_left_by_mask_[p.key] = info["pixels_used"];
   photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
-  const stream::Lens& lens = photo.camera.lens;
-  if (size.file_width_px != lens.width_px || size.file_height_px != lens.height_px)
-    development_notes_[concat(size.file_width_px, " x ", size.file_height_px, " pixels where the camera is of ", lens.width_px, " x ", lens.height_px, ": taken as a scaled copy of all of it")].push_back(p.file.filename().string());
+  const stream::Lens lens = photo.camera.lens;
   const int raw_cell_px = a.encoding == Encoding::kRaw ? stream::RawSource::kCellPx : 1;
   photo.camera.lens = stream::lens_of_cells(stream::scaled_to(lens, size.file_width_px, size.file_height_px, p.file.string()), raw_cell_px * photo.binning);
+  if (size.file_width_px != lens.width_px || size.file_height_px != lens.height_px)
+    development_notes_[concat(size.file_width_px, " x ", size.file_height_px, " pixels where the camera is of ", lens.width_px, " x ", lens.height_px, ": taken as a scaled copy of all of it")].push_back(p.file.filename().string());
   if (photo.binning > 1 && !a.binning)
     development_notes_[concat("the points of the cloud lie ", 4 * photo.binning, " pixels apart and more: cells of ", photo.binning, " x ", photo.binning, " pixels are taken as one. binning = 1 in the acquisition takes each by itself, at ",
                               photo.binning * photo.binning, " times the time and disk")].push_back(p.file.filename().string());

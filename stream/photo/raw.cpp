@@ -24,6 +24,11 @@ void on_data_error(void* data, const char*, const int offset) {
   errors->any = true;
 }
 
+/// LibRaw opens what only its own picture is made with.
+struct Decoder : LibRaw {
+  using LibRaw::is_phaseone_compressed;
+};
+
 /// Colour index (into cdesc) of a mosaic place in visible coordinates; the mosaic's code packs 8 rows of 2 columns, 2 bits each.
 int mosaic_colour(unsigned filters, int row, int column) { return static_cast<int>(filters >> ((((row << 1) & 14) + (column & 1)) << 1)) & 3; }
 
@@ -32,13 +37,14 @@ int mosaic_colour(unsigned filters, int row, int column) { return static_cast<in
 struct RawSource::Impl {
   std::filesystem::path path;
   RawInfo info;
-  std::unique_ptr<LibRaw> raw = std::make_unique<LibRaw>();  // the object is large: never on a stack
+  std::unique_ptr<Decoder> raw = std::make_unique<Decoder>();  // the object is large: never on a stack
   DataErrors errors;
   const std::uint16_t* first = nullptr;  ///< upper left of the visible area
   std::size_t pitch = 0;                 ///< raw values a stored row
   std::array<int, 4> channel{};          ///< R, G, B = 0, 1, 2 of the places (0,0) (0,1) (1,0) (1,1) of a cell
   std::vector<float> black;              ///< one repeat of the black pattern
   int black_rows = 0, black_columns = 0;
+  bool black_is_off = false;             ///< taken off the values already
 
   template <class... Parts>
   [[noreturn]] void fail(const Parts&... parts) const {
@@ -61,12 +67,26 @@ struct RawSource::Impl {
       check(raw->open_file(path.c_str()), "not readable as camera RAW");
       const libraw_image_sizes_t& s = raw->imgdata.sizes;
       if (std::uint64_t{s.raw_width} * s.raw_height > (std::uint64_t{1} << 29)) fail("claims ", s.raw_width, " x ", s.raw_height, " pixels");
-      if (with_pixels) check(raw->unpack(), "pixels cannot be unpacked");
+      if (!with_pixels) return;
+      check(raw->unpack(), "pixels cannot be unpacked");
+      if (raw->is_phaseone_compressed()) correct_phase_one();
     } catch (const Error&) {
       throw;
+    } catch (const LibRaw_exceptions code) {   // of what LibRaw does not call itself
+      fail("damaged (LibRaw's ", static_cast<int>(code), ")");
     } catch (const std::exception& error) {
       fail(error.what());
     }
+  }
+
+  /// Phase One backs: black levels of rows, columns and quadrants, and what the back's calibration in the file holds (linearity, gains, flat fields, dead pixels),
+  /// LibRaw takes off when it makes its picture, and not when it unpacks. In place; what is below black becomes 0.
+  void correct_phase_one() {
+    std::uint16_t* values = raw->imgdata.rawdata.raw_image;
+    if (!values) return;   // refused by check_mosaic()
+    check(raw->phase_one_subtract_black(values, values), "black levels of the back");
+    check(raw->phase_one_correct(), "calibration of the back");
+    black_is_off = true;
   }
 
   void check_mosaic() {
@@ -127,6 +147,13 @@ struct RawSource::Impl {
   /// Black = common level + level of the mosaic colour + a repeating pattern, all in visible coordinates.
   void read_levels() {
     const libraw_colordata_t& color = raw->imgdata.color;
+    info.white = color.maximum;
+    if (black_is_off) {
+      black.assign(4, 0.0f);
+      black_rows = black_columns = 2;
+      info.white = std::min(info.white, 65535.0 - color.phase_one_data.t_black);
+      return check_presence();
+    }
     const unsigned rows = color.cblack[4], columns = color.cblack[5];
     const bool pattern = rows > 0 && columns > 0;
     if (pattern && (rows > LIBRAW_CBLACK_SIZE || columns > LIBRAW_CBLACK_SIZE || rows * columns > LIBRAW_CBLACK_SIZE - 6)) fail("black pattern of ", rows, " x ", columns);
@@ -141,7 +168,6 @@ struct RawSource::Impl {
         sum += level;
       }
     info.black = sum / static_cast<double>(black.size());
-    info.white = color.maximum;
     check_presence();
     for (const float level : black)
       if (!(info.white > static_cast<double>(level))) fail("white level ", info.white, " is not above black level ", level);

@@ -19,7 +19,7 @@ struct RawInfo {
   std::vector<std::string> notes;
 };
 
-/// An unpacked mosaic, read as half-size RGB: R, mean of the two G, B of each 2x2 cell; (raw - black) / (white - black), negative noise kept. No demosaicing,
+/// An unpacked mosaic, read as half-size RGB: R, mean of the two G, B of each 2x2 cell; (raw - black) / (white - black), negative noise kept (but of Phase One backs). No demosaicing,
 /// white balance, colour matrix, highlight handling or rotation. The white level is the camera's fixed one, never the picture's own maximum.
 /// source: LibRaw's unpacked raw_image; black levels as its black-subtraction step uses them.
 class RawSource {

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <initializer_list>
+#include <utility>
 
 #include "stream/photo/develop.h"
 #include "stream/photo/raster.h"
@@ -47,6 +49,40 @@ TEST_F(Raw, IsHalfSizeAndLinearFromBlackToWhite) {
   }
   const PictureSize size = working_size(path("a.dng"), Encoding::kRaw);
   EXPECT_EQ((std::array{size.width_px, size.height_px, size.file_width_px, size.file_height_px}), (std::array{32, 16, 64, 32}));
+}
+
+/// A file of a Phase One back without compression: a list of tags, a calibration without entries, the mosaic (R G / G B).
+std::string phase_one(std::uint32_t width, std::uint32_t height, std::uint32_t black, const std::vector<std::uint16_t>& mosaic) {
+  std::string bytes = "IIII";
+  const auto put = [&](std::initializer_list<std::uint32_t> values) {
+    for (const std::uint32_t v : values) bytes.append(reinterpret_cast<const char*>(&v), 4);
+  };
+  constexpr std::uint32_t kTags = 10, kCalibration = 24 + 16 * kTags, kPixels = kCalibration + 20;
+  put({0x52617774, 16, 0, kTags, 0});
+  for (const auto& [tag, value] : {std::pair{0x108u, width}, {0x109u, height}, {0x10au, 0u}, {0x10bu, 0u}, {0x10cu, width}, {0x10du, height}, {0x10eu, 0u}, {0x10fu, kPixels}, {0x21du, black}})
+    put({tag, 1, 4, value});
+  put({0x110, 1, 20, kCalibration});
+  bytes += std::string("II\0\0\0\0\0\0", 8);
+  put({12, 0, 0});
+  bytes.append(reinterpret_cast<const char*>(mosaic.data()), 2 * mosaic.size());
+  return bytes;
+}
+
+TEST_F(Raw, OfAPhaseOneBackBeginsAtTheBacksBlack) {
+  put_bytes(path("a.iiq"), phase_one(64, 32, 2000, mosaic_of_columns(64, 32, [](int column) { return std::array{2000 + 1000 * column, 1990, 32768}; })));
+  DevelopOptions options;
+  options.encoding = Encoding::kRaw;
+  options.dilate_px = 0;
+  const DevelopResult result = run(path("a.iiq"), options);
+  EXPECT_EQ(result.pixels_saturated, 0u);
+  for (int x = 0; x < 32; ++x) {
+    EXPECT_NEAR(raster().all<float>("r")[static_cast<std::size_t>(x)], 1000 * x / 63535.0, 1e-6);
+    EXPECT_EQ(raster().all<float>("g")[static_cast<std::size_t>(x)], 0);
+    EXPECT_NEAR(raster().all<float>("b")[static_cast<std::size_t>(x)], 30768 / 63535.0, 1e-6);
+  }
+  const std::string bytes = file_bytes(path("a.iiq"));
+  put_bytes(path("short.iiq"), bytes.substr(0, bytes.size() - 2000));
+  EXPECT_NE(error_of([&] { RawSource raw(path("short.iiq")); }).find("short.iiq: RAW: "), std::string::npos);
 }
 
 TEST_F(Raw, ThatClipsBelowItsWhiteLevelIsSaturatedThere) {
