@@ -241,6 +241,8 @@ Acquisition read_acquisition(const toml::table& table, std::size_t number, const
     PhotographInput photograph;
     photograph.file = file;
     photograph.stem = photograph.key = file.stem().string();
+    if (!is_utf8(photograph.stem))
+      fail(photographs, concat("acquisition.photographs: ", file.lexically_relative(folder).string(), ": its name is not UTF-8, as it has to be to name its results: rename it, and in the cameras' file too"));
     const auto [earlier, is_new] = stems.emplace(photograph.stem, file);
     if (!is_new)
       fail(photographs, concat("acquisition.photographs: ", earlier->second.lexically_relative(folder).string(), " and ", file.lexically_relative(folder).string(), " share the name \"", photograph.stem,
