@@ -143,7 +143,7 @@ int run_render(std::span<const std::string> words, Console& console) {
       console.out() << picture.string() << "\n";
     }
   }
-  if (console.json) console.result(Json{{"views", results}}.dump());
+  if (console.json) console.result(Json{{"views", results}}.dump(-1, ' ', false, Json::error_handler_t::replace));
   return 0;
 }
 
