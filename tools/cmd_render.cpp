@@ -62,6 +62,8 @@ std::optional<RunLights> read_lights(const RunFolder& folder) {
   return std::nullopt;
 }
 
+std::filesystem::path picture_of(const std::filesystem::path& out, const ViewInput& view) { return out / (view.name + ".exr"); }
+
 std::unique_ptr<optimize::RenderLights> load_lights(const RunFolder& folder, const stream::Store& store, const RunLights& lights) {
   const std::filesystem::path at = folder.acquisition(lights.acquisition);
   auto loaded = std::make_unique<optimize::RenderLights>(optimize::load_scene(store, at), std::vector<float>(), lights.lights);
@@ -80,6 +82,17 @@ std::vector<optimize::DetailPhotograph> load_photographs(const RunFolder& folder
                            Eigen::Map<const Vec2d>(c.shift_px.data()).cast<float>(), static_cast<float>(c.trust)});
   }
   return photographs;
+}
+
+/// Views are often called after the photographs that they are compared with.
+void refuse_photographs(const Json& project, const std::filesystem::path& out, const std::vector<ViewInput>& views) {
+  for (const ViewInput& v : views) {
+    const std::filesystem::path picture = picture_of(out, v);
+    for (const Json& a : member(project, "acquisition"))
+      for (const Json& p : member(a, "photographs"))
+        if (std::error_code code; std::filesystem::equivalent(picture, text_of(member(p, "file"), ""), code))
+          throw Error(concat(picture.string(), ": is a photograph of the run, it is not written over; choose another --out"));
+  }
 }
 
 }  // namespace
@@ -109,7 +122,9 @@ int run_render(std::span<const std::string> words, Console& console) {
   MemoryBudget budget(budget_bytes(memory));
   const stream::Store store(folder.store());
   if (const std::string note = note_on_unfinished(read_status(folder)); !note.empty()) console.report().note(note);
-  const std::string layer_name = text_of(member(member(read_json_object(folder.project()), "blend"), "layer"), "albedo");
+  const Json project = read_json_object(folder.project());
+  refuse_photographs(project, out, views);
+  const std::string layer_name = text_of(member(member(project, "blend"), "layer"), "albedo");
   const stream::Layer layer(store, layer_name);
   // The photographs themselves show what lies between the points; where they are read, inserted points add nothing (measured on a tower: 37.7 dB without, 37.6 with).
   const std::optional<InsertedPoints> inserted = only_points ? open_inserted(store, layer_name) : std::nullopt;
@@ -133,7 +148,7 @@ int run_render(std::span<const std::string> words, Console& console) {
   Json results = Json::array();
   for (const ViewInput& v : views) {
     optimize::RenderView view{v.name, v.lens, v.pose, v.flash_offset_in_camera.value_or(run_lights.flash_in_camera), v.flash_intensity.value_or(run_lights.lights.flash_intensity), v.ambient_scale, run_lights.falloff};
-    const std::filesystem::path picture = std::filesystem::path(out) / (v.name + ".exr");
+    const std::filesystem::path picture = picture_of(out, v);
     const optimize::RenderStats s = optimize::render(store, layer, lights.get(), view, options, picture, budget, console.report());
     if (s.pixels_hit == 0) console.report().note(concat(v.name, ": shows nothing of the cloud: is it rotation and translation from world to camera, with z forwards, in the project's unit?"));
     results.push_back({{"view", v.name}, {"file", picture.string()}, {"pixels", s.pixels}, {"pixels_hit", s.pixels_hit}, {"pixels_without_albedo", s.pixels_without_albedo},
@@ -143,7 +158,7 @@ int run_render(std::span<const std::string> words, Console& console) {
       console.out() << picture.string() << "\n";
     }
   }
-  if (console.json) console.result(Json{{"views", results}}.dump());
+  if (console.json) console.result(Json{{"views", results}}.dump(-1, ' ', false, Json::error_handler_t::replace));
   return 0;
 }
 

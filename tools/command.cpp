@@ -1,5 +1,6 @@
 #include "tools/command.h"
 
+#include <algorithm>
 #include <exception>
 #include <new>
 #include <nlohmann/json.hpp>
@@ -105,6 +106,7 @@ int exit_code_of_exception() {
 }
 
 int run_app(std::span<const std::string> args, std::span<const Command> commands, Console& console) {
+  console.json = std::find(args.begin(), args.end(), "--json") != args.end();   // before anything can be wrong with the command line
   try {
     const int code = dispatch(args, commands, console);
     console.clear_line();

@@ -18,7 +18,6 @@ namespace chiaro::tools {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr std::uint64_t kMaxFileBytes = 4u << 20;
 constexpr std::size_t kMaxPhotographs = 1'000'000;
 
 // Files ----------------------------------------------------------------------------------------------------------------------------
@@ -242,6 +241,8 @@ Acquisition read_acquisition(const toml::table& table, std::size_t number, const
     PhotographInput photograph;
     photograph.file = file;
     photograph.stem = photograph.key = file.stem().string();
+    if (!is_utf8(photograph.stem))
+      fail(photographs, concat("acquisition.photographs: ", file.lexically_relative(folder).string(), ": its name is not UTF-8, as it has to be to name its results: rename it, and in the cameras' file too"));
     const auto [earlier, is_new] = stems.emplace(photograph.stem, file);
     if (!is_new)
       fail(photographs, concat("acquisition.photographs: ", earlier->second.lexically_relative(folder).string(), " and ", file.lexically_relative(folder).string(), " share the name \"", photograph.stem,
@@ -401,38 +402,10 @@ void read_exports(const toml::node* node, Project& project) {
   }
 }
 
-// The file -------------------------------------------------------------------------------------------------------------------------
-
-/// The parser builds a.b.c… as nested tables and takes them down recursively: a key with a hundred thousand dots would exhaust the stack.
-void refuse_deep_keys(const std::string& text, const std::string& shown) {
-  constexpr int kMaxDots = 500;
-  int dots = 0, line = 1;
-  for (const char c : text) {
-    if (c == '.') ++dots;
-    else if (std::string_view("=,{}[]#\n").find(c) != std::string_view::npos) dots = 0;
-    if (dots > kMaxDots) throw UsageError(concat(shown, ':', line, ": a name with more than ", kMaxDots, " dots"));
-    if (c == '\n') ++line;
-  }
-}
-
-toml::table parse_file(const fs::path& path) {
-  std::error_code code;
-  if (const fs::file_status status = fs::status(path, code); !fs::exists(status)) throw UsageError(concat(path.string(), ": no such file, expected a project file"));
-  else if (fs::is_directory(status)) throw UsageError(concat(path.string(), ": is a folder, expected a project file"));
-  const std::string text = read_text(path, kMaxFileBytes);
-  const std::string shown = path.string();
-  refuse_deep_keys(text, shown);
-  try {
-    return toml::parse(text, shown);
-  } catch (const toml::parse_error& e) {
-    throw UsageError(concat(shown, ':', e.source().begin.line, ':', e.source().begin.column, ": ", e.description()));
-  }
-}
-
 }  // namespace
 
 Project load_project(const fs::path& path, std::span<const std::string> overrides) {
-  toml::table root = parse_file(path);
+  toml::table root = parse_toml_file(path, "a project file");
   apply_overrides(root, overrides);
   Project project;
   std::error_code code;

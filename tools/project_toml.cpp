@@ -1,10 +1,43 @@
 #include "tools/project_toml.h"
 
 #include <cmath>
+#include <filesystem>
 
 #include "stream/base/budget.h"
+#include "stream/base/file.h"
 
 namespace chiaro::tools {
+namespace {
+
+/// The parser builds a.b.c… as nested tables and takes them down recursively: a key with a hundred thousand dots would exhaust the stack.
+void refuse_deep_keys(const std::string& text, const std::string& shown) {
+  constexpr int kMaxDots = 500;
+  int dots = 0, line = 1;
+  for (const char c : text) {
+    if (c == '.') ++dots;
+    else if (std::string_view("=,{}[]#\n").find(c) != std::string_view::npos) dots = 0;
+    if (dots > kMaxDots) throw UsageError(concat(shown, ':', line, ": a name with more than ", kMaxDots, " dots"));
+    if (c == '\n') ++line;
+  }
+}
+
+}  // namespace
+
+toml::table parse_toml_file(const std::filesystem::path& path, const char* what) {
+  namespace fs = std::filesystem;
+  constexpr std::uint64_t kMaxFileBytes = 4u << 20;
+  std::error_code code;
+  if (const fs::file_status status = fs::status(path, code); !fs::exists(status)) throw UsageError(concat(path.string(), ": no such file, expected ", what));
+  else if (fs::is_directory(status)) throw UsageError(concat(path.string(), ": is a folder, expected ", what));
+  const std::string text = read_text(path, kMaxFileBytes);
+  const std::string shown = path.string();
+  refuse_deep_keys(text, shown);
+  try {
+    return toml::parse(text, shown);
+  } catch (const toml::parse_error& e) {
+    throw UsageError(concat(shown, ':', e.source().begin.line, ':', e.source().begin.column, ": ", e.description()));
+  }
+}
 
 std::string where(const toml::source_region& region) {
   if (!region.path) return "";

@@ -1,7 +1,8 @@
-/// Values and tables of a project file, with complaints that say where in the file they lie. For the .cpp files that read projects only.
+/// TOML files; values and tables of a project file, with complaints that say where in the file they lie. For the .cpp files that read projects and views only.
 #pragma once
 #include <algorithm>
 #include <cstdint>
+#include <filesystem>
 #include <span>
 #include <string>
 #include <toml++/toml.h>
@@ -12,6 +13,12 @@
 #include "tools/suggest.h"
 
 namespace chiaro::tools {
+
+// The file -------------------------------------------------------------------------------------------------------------------------
+
+/// `what` names what is expected, "a project file". throws UsageError where there is no such file or it is no TOML, with file, line and column; Error where it
+/// cannot be read or is larger than 4 MiB.
+toml::table parse_toml_file(const std::filesystem::path& path, const char* what);
 
 // Positions ------------------------------------------------------------------------------------------------------------------------
 

@@ -40,7 +40,7 @@ void RunContext::leave_out(const PhotographInput& p, const std::string& reason) 
 Json RunContext::task(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs, const std::function<Json()>& body) {
   report.check();
   progress.begun(name);
-  const TaskOutcome outcome = tasks.run(name, key, outputs, [&] { return body().dump(); });
+  const TaskOutcome outcome = tasks.run(name, key, outputs, [&] { return body().dump(-1, ' ', false, Json::error_handler_t::replace); });
   if (!outcome.reused) return_freed_memory();
   progress.done(name);
   record.stage(name, outcome.reused ? 0.0 : outcome.seconds, outcome.reused);

@@ -11,6 +11,7 @@
 #include "stream/base/file.h"
 #include "stream/photo/camera_files.h"
 #include "stream/photo/develop.h"
+#include "stream/photo/raw.h"
 #include "surfels/gbuffer.h"
 #include "tools/camera_frame.h"
 #include "tools/run_context_json.h"
@@ -209,7 +210,7 @@ PhotographStages::PhotographDisk PhotographStages::disk_of(const std::string& ke
 int PhotographStages::binning_of(const Acquisition& a, const Photo& photo) {
   if (a.binning) return *a.binning;
   if (run_.project.blend.refine == BlendRefine::kImage) return 1;   // which asks for each pixel
-  const auto [width, height] = photo.size;
+  const int width = photo.size.width_px, height = photo.size.height_px;
   if (surfels::most_cell(width, height) < 2) return 1;
   if (!spacing_) spacing_.emplace(store_);
   return surfels::cell_for(spacing_->spacing_px(photo.camera) * width / photo.camera.lens.width_px, width, height);
@@ -224,6 +225,7 @@ void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
   h.add(p.mask.empty() ? std::string("-") : file_fingerprint(p.mask));
   h.add(a.noise ? a.noise->gain : -1.0).add(a.noise ? a.noise->read_sigma : -1.0);
   h.add(std::uint64_t{run_.project.method != SolveMethod::kNone});
+  if (a.encoding == Encoding::kRaw) h.add("raw 2");   // raised as the pipeline's version is
   if (photo.binning > 1) h.add("cells").add(static_cast<std::uint64_t>(photo.binning));
   photo.radiance_key = h.hex();
   const Json info = run_.task("develop/" + p.key, photo.radiance_key, {run_.folder.radiance(p.key)}, [&] {
@@ -247,10 +249,11 @@ void PhotographStages::develop_one(const Acquisition& a, Photo& photo) {
   if (info["pixels_used"] == 0) throw Error("no usable pixel: everything is masked, saturated or not finite");
   if (!p.mask.empty()) pixels_left_by_mask_[p.key] = info["pixels_used"];
   photo.noise = {info["noise_gain"], info["noise_read_sigma"]};
-  const stream::Lens& lens = photo.camera.lens;
-  if ((size.width_px != lens.width_px || size.height_px != lens.height_px) && a.encoding != Encoding::kRaw)   // of RAW, cells of 2 x 2 are pixels
-    development_notes_[concat(size.width_px, " x ", size.height_px, " pixels where the camera is of ", lens.width_px, " x ", lens.height_px, ": taken as a scaled copy of all of it")].push_back(p.file.filename().string());
-  photo.camera.lens = stream::lens_of_cells(stream::scaled_to(lens, size.width_px, size.height_px, p.file.string()), photo.binning);
+  const stream::Lens lens = photo.camera.lens;
+  const int raw_cell_px = a.encoding == Encoding::kRaw ? stream::RawSource::kCellPx : 1;
+  photo.camera.lens = stream::lens_of_cells(stream::scaled_to(lens, size.file_width_px, size.file_height_px, p.file.string()), raw_cell_px * photo.binning);
+  if (size.file_width_px != lens.width_px || size.file_height_px != lens.height_px)
+    development_notes_[concat(size.file_width_px, " x ", size.file_height_px, " pixels where the camera is of ", lens.width_px, " x ", lens.height_px, ": taken as a scaled copy of all of it")].push_back(p.file.filename().string());
   if (photo.binning > 1 && !a.binning)
     development_notes_[concat("the points of the cloud lie ", 4 * photo.binning, " pixels apart and more: cells of ", photo.binning, " x ", photo.binning, " pixels are taken as one. binning = 1 in the acquisition takes each by itself, at ",
                               photo.binning * photo.binning, " times the time and disk")].push_back(p.file.filename().string());

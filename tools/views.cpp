@@ -6,8 +6,8 @@
 #include <toml++/toml.h>
 
 #include "stream/base/error.h"
-#include "stream/base/file.h"
 #include "stream/photo/camera_files.h"
+#include "tools/project_toml.h"
 #include "tools/suggest.h"
 
 namespace chiaro::tools {
@@ -102,13 +102,7 @@ class ViewReader {
 }  // namespace
 
 std::vector<ViewInput> load_views(const std::filesystem::path& path) {
-  const std::string content = read_text(path, 4u << 20);
-  toml::table root;
-  try {
-    root = toml::parse(content, path.string());
-  } catch (const toml::parse_error& e) {
-    throw UsageError(concat(path.filename().string(), ":", e.source().begin.line, ":", e.source().begin.column, ": ", e.description()));
-  }
+  const toml::table root = parse_toml_file(path, "a file of views");
   const ViewReader reader(path.filename().string());
   reader.known(root, {"view"});
   const toml::array* list = root["view"].as_array();

@@ -42,11 +42,13 @@ class Reader {
     const pugi::xml_node chunk = find_chunk(root);
     read_sensors(chunk);
     if (const auto transform = read_similarity(chunk.child("transform"))) chunk_ = *transform;
+    active_component_ = chunk.child("components").attribute("active_id").value();
     for (const pugi::xml_node component : chunk.child("components").children("component"))
       if (const auto transform = read_similarity(component.child("transform"))) components_[component.attribute("id").value()] = *transform;
     note_reference(chunk);
     read_group(chunk.child("cameras"));
     note_names("have no position in the file (not aligned) and are left out", unaligned_);
+    note_names("belong to another component of the chunk than the active one, without a transform that would place them in its frame; they are left out", unplaced_);
     note_names("belong to a rig and have their position from another camera (master_id), which is not supported; they are left out", of_rigs_);
     note_names("have a rolling shutter in the file, which is not followed: each is taken as exposed at once", rolling_);
     note_names("are disabled in the file and are left out", disabled_);
@@ -245,8 +247,10 @@ class Reader {
     Mat3d chunk_from_camera;
     chunk_from_camera << m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10];
     checked_rotation(chunk_from_camera, at);
-    // A component that has a transform of its own is placed by it; the chunk's transform repeats the one of the active component.
-    const auto component = components_.find(node.attribute("component_id").value());
+    // A component that has a transform of its own is placed by it; the chunk's transform repeats the one of the active component, and says nothing of others.
+    const std::string component_id = node.attribute("component_id").value();
+    const auto component = components_.find(component_id);
+    if (component == components_.end() && !active_component_.empty() && !component_id.empty() && component_id != active_component_) return unplaced_.push_back(label);
     const Similarity& world = component == components_.end() ? chunk_ : component->second;
     Camera camera;
     camera.photograph = label;
@@ -274,7 +278,7 @@ class Reader {
     notes_.push_back(concat(path_, ": ", names.size(), " cameras ", what, ": ", list, names.size() > kMaxNames ? ", ..." : ""));
   }
 
-  std::string path_;
+  std::string path_, active_component_;
   std::vector<std::string>& notes_;
   std::string text_;
   std::vector<std::ptrdiff_t> line_ends_;
@@ -283,7 +287,7 @@ class Reader {
   std::map<std::string, Similarity> components_;
   std::map<std::string, Sensor> sensors_;
   std::vector<Camera> cameras_;
-  std::vector<std::string> unaligned_, disabled_, of_rigs_, rolling_;
+  std::vector<std::string> unaligned_, disabled_, of_rigs_, unplaced_, rolling_;
 };
 
 }  // namespace

@@ -131,12 +131,13 @@ class MosaicSource : public Source {
     notes = raw_.info().notes;
     quantum = 1 / (raw_.info().white - raw_.info().black);
     dilate = true;
+    if (options.find_clipping && !options.white) find_heaps();
   }
   void read(Band& band) override {
     const std::size_t count = static_cast<std::size_t>(width) * static_cast<std::size_t>(band.rows);
     values_.resize(count * 3);
     saturated_.resize(count);
-    raw_.read_rows(band.y0, band.rows, limit_, values_.data(), saturated_.data());
+    raw_.read_rows(band.y0, band.rows, limit_, heaps_, values_.data(), saturated_.data());
     for (std::size_t i = 0; i < count; ++i) {
       if (saturated_[i]) band.flags[i] |= kSaturated;
       set_pixel(band, i, values_.data() + 3 * i);
@@ -144,8 +145,18 @@ class MosaicSource : public Source {
   }
 
  private:
+  void find_heaps() {
+    heaps_ = raw_.heaps();
+    const double limit_dn = raw_.info().black + limit_ * (raw_.info().white - raw_.info().black);
+    std::string levels;
+    for (std::size_t c = 0; c < 3; ++c)
+      if (heaps_[c] && *heaps_[c] < limit_dn) levels += concat(levels.empty() ? "" : ", ", std::array{"red", "green", "blue"}[c], " from ", *heaps_[c], " on");
+    if (!levels.empty()) notes.push_back(concat("raw values heap up below the white level of ", raw_.info().white, " that is known of the camera: taken as clipped (", levels, ")"));
+  }
+
   RawSource raw_;
   double limit_;
+  std::array<std::optional<int>, 3> heaps_;
   std::vector<float> values_;
   std::vector<std::uint8_t> saturated_;
 };
@@ -390,11 +401,11 @@ Encoding encoding_from_name(const std::string& name) {
 
 PictureSize working_size(const fs::path& photograph, Encoding encoding) {
   if (encoding == Encoding::kRaw) {
-    const auto [width, height] = RawSource::size_px(photograph);
-    return {width, height};
+    const auto [width, height] = RawSource::sensor_size_px(photograph);
+    return {width / RawSource::kCellPx, height / RawSource::kCellPx, width, height};
   }
   const ImageSource image(photograph);
-  return {image.width(), image.height()};
+  return {image.width(), image.height(), image.width(), image.height()};
 }
 
 DevelopResult develop(const fs::path& photograph, const DevelopOptions& options, const fs::path& out_raster, Reporter& reporter) {

@@ -26,6 +26,7 @@ enum class Encoding {
 
 struct PictureSize {
   int width_px = 0, height_px = 0;
+  int file_width_px = 0, file_height_px = 0;   ///< of the picture in the file, which cameras refer to: RAW has twice the pixels, and a column or row more where those are odd
 };
 /// Of the working image that develop() makes with cells of one pixel, from the head of the file alone. throws Error.
 PictureSize working_size(const std::filesystem::path& photograph, Encoding encoding);
@@ -46,7 +47,7 @@ struct DevelopOptions {
   std::optional<NoiseModel> noise;            ///< estimated from the picture where absent
   double saturation = 0.98;                   ///< share of white from which on a value counts as saturated; compared before linearisation
   std::optional<double> white;                ///< white level in the file's values; default 1 for integer files and RAW (largest code, the camera's white), none for floats
-  bool find_clipping = false;                 ///< floats without a white level, and linear values of 16 bits, which often hold 12 or 14 of a sensor: a plateau at the brightest value of a channel (plateau.h) counts as saturated; reads the file twice
+  bool find_clipping = false;                 ///< floats without a white level, and linear values of 16 bits, which often hold 12 or 14 of a sensor: a plateau at the brightest value of a channel (plateau.h) counts as saturated; reads the file twice. RAW likewise: RawSource::heaps()
   int dilate_px = 2;                          ///< around saturated pixels of RAW and 8-bit files, where sharpening and blooming reach
   int cell_px = 1;                            ///< 1 to 64: cells of that many pixels a side become one each (cells.h); the mask, `noise` and dilate_px are of the pixels before
 };

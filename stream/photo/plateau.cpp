@@ -40,4 +40,20 @@ std::optional<float> PlateauFinder::level() const {
   return kSame * top_;
 }
 
+std::optional<std::size_t> plateau_of_counts(std::span<const std::uint32_t> count_of_value) {
+  constexpr double kScatter = 1e-3;
+  std::uint64_t reached = 0, all = 0;
+  std::size_t top = count_of_value.size();
+  while (top > 0 && reached < kLeastPixels) reached += count_of_value[--top];
+  const auto share = [&](double factor) { return static_cast<std::size_t>(factor * static_cast<double>(top)); };
+  std::uint64_t heap = 0, near = 0;
+  for (std::size_t v = 0; v < count_of_value.size(); ++v) {
+    all += count_of_value[v];
+    if (v >= share(1 - kScatter) && v <= share(1 + kScatter)) heap += count_of_value[v];
+    else if (v >= share(static_cast<double>(kBelow))) near += count_of_value[v];   // those above, too: a few highlights spread
+  }
+  if (heap < kLeastPixels || heap == all || heap < kHeap * near) return std::nullopt;
+  return share(1 - kScatter);
+}
+
 }  // namespace chiaro::stream

@@ -1,4 +1,4 @@
-/// Clipped values in pictures of floats, whose white nobody states: a plateau at the brightest value.
+/// Clipped values where the file's white is none or too high: a plateau at the brightest value.
 #pragma once
 #include <cstdint>
 #include <optional>
@@ -23,5 +23,9 @@ class PlateauFinder {
   std::uint64_t at_top_ = 0, all_ = 0;
   std::vector<std::uint32_t> histogram_;   ///< of positive values, by their leading bits: 10 of the mantissa
 };
+
+/// The same for whole numbers of a sensor, by how often each occurs. Saturated pixels scatter by some units, so all within a thousandth of the brightest value that
+/// 32 pixels reach are the plateau, where few are brighter. returns its smallest value; absent where there is none.
+std::optional<std::size_t> plateau_of_counts(std::span<const std::uint32_t> count_of_value);
 
 }  // namespace chiaro::stream

@@ -4,9 +4,11 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/photo/plateau.h"
 
 namespace chiaro::stream {
 namespace {
@@ -22,6 +24,11 @@ void on_data_error(void* data, const char*, const int offset) {
   errors->any = true;
 }
 
+/// LibRaw opens what only its own picture is made with.
+struct Decoder : LibRaw {
+  using LibRaw::is_phaseone_compressed;
+};
+
 /// Colour index (into cdesc) of a mosaic place in visible coordinates; the mosaic's code packs 8 rows of 2 columns, 2 bits each.
 int mosaic_colour(unsigned filters, int row, int column) { return static_cast<int>(filters >> ((((row << 1) & 14) + (column & 1)) << 1)) & 3; }
 
@@ -30,13 +37,14 @@ int mosaic_colour(unsigned filters, int row, int column) { return static_cast<in
 struct RawSource::Impl {
   std::filesystem::path path;
   RawInfo info;
-  std::unique_ptr<LibRaw> raw = std::make_unique<LibRaw>();  // the object is large: never on a stack
+  std::unique_ptr<Decoder> raw = std::make_unique<Decoder>();  // the object is large: never on a stack
   DataErrors errors;
   const std::uint16_t* first = nullptr;  ///< upper left of the visible area
   std::size_t pitch = 0;                 ///< raw values a stored row
   std::array<int, 4> channel{};          ///< R, G, B = 0, 1, 2 of the places (0,0) (0,1) (1,0) (1,1) of a cell
   std::vector<float> black;              ///< one repeat of the black pattern
   int black_rows = 0, black_columns = 0;
+  bool black_is_off = false;             ///< taken off the values already
 
   template <class... Parts>
   [[noreturn]] void fail(const Parts&... parts) const {
@@ -59,12 +67,26 @@ struct RawSource::Impl {
       check(raw->open_file(path.c_str()), "not readable as camera RAW");
       const libraw_image_sizes_t& s = raw->imgdata.sizes;
       if (std::uint64_t{s.raw_width} * s.raw_height > (std::uint64_t{1} << 29)) fail("claims ", s.raw_width, " x ", s.raw_height, " pixels");
-      if (with_pixels) check(raw->unpack(), "pixels cannot be unpacked");
+      if (!with_pixels) return;
+      check(raw->unpack(), "pixels cannot be unpacked");
+      if (raw->is_phaseone_compressed()) correct_phase_one();
     } catch (const Error&) {
       throw;
+    } catch (const LibRaw_exceptions code) {   // of what LibRaw does not call itself
+      fail("damaged (LibRaw's ", static_cast<int>(code), ")");
     } catch (const std::exception& error) {
       fail(error.what());
     }
+  }
+
+  /// Phase One backs: black levels of rows, columns and quadrants, and what the back's calibration in the file holds (linearity, gains, flat fields, dead pixels),
+  /// LibRaw takes off when it makes its picture, and not when it unpacks. In place; what is below black becomes 0.
+  void correct_phase_one() {
+    std::uint16_t* values = raw->imgdata.rawdata.raw_image;
+    if (!values) return;   // refused by check_mosaic()
+    check(raw->phase_one_subtract_black(values, values), "black levels of the back");
+    check(raw->phase_one_correct(), "calibration of the back");
+    black_is_off = true;
   }
 
   void check_mosaic() {
@@ -86,6 +108,8 @@ struct RawSource::Impl {
     }
     if (count != std::array<int, 3>{1, 2, 1}) fail("its mosaic is not R G G B");
   }
+  std::uint16_t value(int row, int column) const { return first[static_cast<std::size_t>(row) * pitch + static_cast<std::size_t>(column)]; }
+  int channel_at(int row, int column) const { return channel[static_cast<std::size_t>(2 * (row & 1) + (column & 1))]; }
   char letter(int row, int column) const { return raw->imgdata.idata.cdesc[mosaic_colour(raw->imgdata.idata.filters, row, column)]; }
 
   void read_sizes() {
@@ -98,8 +122,8 @@ struct RawSource::Impl {
     info.camera = concat(data.idata.make, " ", data.idata.model);
     info.sensor_width_px = s.width;
     info.sensor_height_px = s.height;
-    info.width_px = s.width / 2;
-    info.height_px = s.height / 2;
+    info.width_px = s.width / kCellPx;
+    info.height_px = s.height / kCellPx;
     info.crop_left_px = s.left_margin;
     info.crop_top_px = s.top_margin;
     info.notes.push_back(concat("holds the sensor's ", s.width, " x ", s.height, " pixels, read at half size: a camera calibrated on pictures of another size, as the camera's own JPEGs often are by some pixels, does not fit"));
@@ -123,6 +147,13 @@ struct RawSource::Impl {
   /// Black = common level + level of the mosaic colour + a repeating pattern, all in visible coordinates.
   void read_levels() {
     const libraw_colordata_t& color = raw->imgdata.color;
+    info.white = color.maximum;
+    if (black_is_off) {
+      black.assign(4, 0.0f);
+      black_rows = black_columns = 2;
+      info.white = std::min(info.white, 65535.0 - color.phase_one_data.t_black);
+      return check_presence();
+    }
     const unsigned rows = color.cblack[4], columns = color.cblack[5];
     const bool pattern = rows > 0 && columns > 0;
     if (pattern && (rows > LIBRAW_CBLACK_SIZE || columns > LIBRAW_CBLACK_SIZE || rows * columns > LIBRAW_CBLACK_SIZE - 6)) fail("black pattern of ", rows, " x ", columns);
@@ -137,7 +168,6 @@ struct RawSource::Impl {
         sum += level;
       }
     info.black = sum / static_cast<double>(black.size());
-    info.white = color.maximum;
     check_presence();
     for (const float level : black)
       if (!(info.white > static_cast<double>(level))) fail("white level ", info.white, " is not above black level ", level);
@@ -155,18 +185,34 @@ RawSource::RawSource(RawSource&&) noexcept = default;
 RawSource::~RawSource() = default;
 const RawInfo& RawSource::info() const { return impl_->info; }
 
-std::array<int, 2> RawSource::size_px(const std::filesystem::path& path) {
+std::array<int, 2> RawSource::sensor_size_px(const std::filesystem::path& path) {
   Impl impl;
   impl.path = path;
   impl.open(false);
   const libraw_image_sizes_t& s = impl.raw->imgdata.sizes;
-  return {s.width / 2, s.height / 2};
+  return {s.width, s.height};
 }
 
-void RawSource::read_rows(int y0, int rows, double saturation, float* rgb, std::uint8_t* saturated) const {
+std::array<std::optional<int>, 3> RawSource::heaps() const {
+  constexpr std::size_t kValues = 65536, kLeastAboveBlack = 400;   // below, the values that a heap is compared with are too few
+  const Impl& impl = *impl_;
+  std::array<std::vector<std::uint32_t>, 3> count;
+  for (auto& c : count) c.assign(kValues, 0);
+  for (int row = 0; row < kCellPx * impl.info.height_px; ++row)
+    for (int column = 0; column < kCellPx * impl.info.width_px; ++column)
+      ++count[static_cast<std::size_t>(impl.channel_at(row, column))][impl.value(row, column)];
+  std::array<std::optional<int>, 3> heaps;
+  for (std::size_t c = 0; c < 3; ++c)
+    if (const auto level = plateau_of_counts(count[c]); level && static_cast<double>(*level) >= impl.info.black + static_cast<double>(kLeastAboveBlack)) heaps[c] = static_cast<int>(*level);
+  return heaps;
+}
+
+void RawSource::read_rows(int y0, int rows, double saturation, const std::array<std::optional<int>, 3>& heap, float* rgb, std::uint8_t* saturated) const {
   const Impl& impl = *impl_;
   if (y0 < 0 || rows < 0 || y0 > impl.info.height_px - rows) throw std::invalid_argument("RawSource::read_rows: rows outside the picture");
   const float white = static_cast<float>(impl.info.white), limit = static_cast<float>(saturation);
+  std::array<int, 3> least_full{};
+  for (std::size_t c = 0; c < 3; ++c) least_full[c] = heap[c].value_or(std::numeric_limits<int>::max());
   for (int y = y0; y < y0 + rows; ++y)
     for (int x = 0; x < impl.info.width_px; ++x, rgb += 3, ++saturated) {
       std::array<float, 3> sum{};
@@ -174,9 +220,11 @@ void RawSource::read_rows(int y0, int rows, double saturation, float* rgb, std::
       for (int place = 0; place < 4; ++place) {
         const int row = 2 * y + (place >> 1), column = 2 * x + (place & 1);
         const float black = impl.black[static_cast<std::size_t>(row % impl.black_rows * impl.black_columns + column % impl.black_columns)];
-        const float value = (static_cast<float>(impl.first[static_cast<std::size_t>(row) * impl.pitch + static_cast<std::size_t>(column)]) - black) / (white - black);
-        full = full || value >= limit;
-        sum[static_cast<std::size_t>(impl.channel[static_cast<std::size_t>(place)])] += value;
+        const int count_dn = impl.value(row, column);
+        const float value = (static_cast<float>(count_dn) - black) / (white - black);
+        const auto channel = static_cast<std::size_t>(impl.channel[static_cast<std::size_t>(place)]);
+        full = full || value >= limit || count_dn >= least_full[channel];
+        sum[channel] += value;
       }
       rgb[0] = sum[0];
       rgb[1] = 0.5f * sum[1];

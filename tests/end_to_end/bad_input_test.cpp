@@ -341,6 +341,19 @@ TEST_F(BadInput, ATargetOfAPhotographThatIsLeftOutIsNotCounted) {
   EXPECT_EQ(lights().at("references"), 0);
 }
 
+TEST_F(BadInput, NamesThatAreNotUtf8DoNotEndARun) {
+  // The layer of a picture, in Latin-1, is named in a note; the folder of a rendering in the result.
+  const TinyScene s = scene({.photographs = 1});
+  const stream::Image picture = stream::read_image(s.folder / "photos/photo_00.exr");
+  stream::write_exr(s.folder / "photos/photo_00.exr", picture.width, picture.height, {"sch\xf6n.R", "sch\xf6n.G", "sch\xf6n.B"}, picture.values, false);
+  ProcessResult ran = run("out", {"--set", "solve.method=none"});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("colour is taken from the layer"));
+  ran = chiaro({"render", at("out").string(), "--albedo", "--views", (s.folder / "novel/views.toml").string(), "--out", at("sch\xf6n").string(), "--json"});
+  EXPECT_EQ(ran.code, 0) << ran.err;
+  EXPECT_TRUE(fs::exists(at("sch\xf6n/novel_00.exr")));
+}
+
 TEST_F(BadInput, ScaledCopiesOfWhatTheCameraIsOfAreNotedOnce) {
   const TinyScene s = scene();
   edit("scene/sparse/cameras.txt", "96 72 110 110 48 36", "192 144 220 220 96 72");

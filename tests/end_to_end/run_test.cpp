@@ -455,6 +455,17 @@ TEST_F(Run, PredictsAPhotographFromElsewhere) {
   EXPECT_LE(error / size, 0.03);   // its outline included
 }
 
+TEST_F(Run, DoesNotRenderOverAPhotograph) {
+  const TinyScene s = scene({.photographs = 1});
+  ASSERT_EQ(run("out", {"--set", "solve.method=none"}).code, 0);
+  edit("scene/novel/views.toml", "name = \"novel_00\"", "name = \"photo_00\"");
+  const std::string photograph = file_bytes(s.folder / "photos/photo_00.exr");
+  const ProcessResult ran = chiaro({"render", at("out").string(), "--albedo", "--views", (s.folder / "novel/views.toml").string(), "--out", (s.folder / "photos").string()});
+  EXPECT_EQ(ran.code, 1);
+  EXPECT_THAT(ran.err, HasSubstr("photos/photo_00.exr: is a photograph of the run, it is not written over; choose another --out"));
+  EXPECT_TRUE(file_bytes(s.folder / "photos/photo_00.exr") == photograph);
+}
+
 TEST_F(Run, NotesWhatAViewDoesNotShow) {
   TinySceneOptions options;
   options.masks = false;

@@ -114,10 +114,11 @@ bool raw(Bytes bytes) {
   const fs::path path = put("photo.dng", bytes);
   return is_read([&] {
     const stream::RawSource source(path);
+    const auto heaps = source.heaps();
     const auto width = static_cast<std::size_t>(source.info().width_px);
     std::vector<float> rgb(width * 3);
     std::vector<std::uint8_t> saturated(width);
-    for (int y = 0; y < source.info().height_px; ++y) source.read_rows(y, 1, 0.98, rgb.data(), saturated.data());
+    for (int y = 0; y < source.info().height_px; ++y) source.read_rows(y, 1, 0.98, heaps, rgb.data(), saturated.data());
   });
 }
 

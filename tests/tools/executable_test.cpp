@@ -67,6 +67,17 @@ TEST_P(EveryCommand, RefusesUnknownOptions) {
   EXPECT_EQ(ran.out, "");
 }
 
+TEST_P(EveryCommand, SaysInJsonTooWhatIsWrongWithTheCommandLine) {
+  for (const char* words : {" --json --jsno", " --jsno --json", " --json"}) {
+    const Ran ran = run(GetParam() + std::string(words));
+    EXPECT_EQ(ran.code, 2);
+    const auto event = nlohmann::json::parse(ran.out, nullptr, false);
+    ASSERT_TRUE(event.is_object()) << ran.out;
+    EXPECT_EQ(event["event"], "error");
+    EXPECT_EQ(event["exit"], 2);
+  }
+}
+
 TEST_P(EveryCommand, NeedsItsWords) {
   const Ran ran = run(GetParam());
   EXPECT_EQ(ran.code, 2);
@@ -89,6 +100,20 @@ TEST_F(ExecutableTest, CompareSaysWherePointsAreNotTheSame) {
   ran = run("compare a.ply b.ply --picture d.jpg");
   EXPECT_EQ(ran.code, 2);
   EXPECT_THAT(ran.err, HasSubstr("--picture d.jpg: expected FILE.png"));
+}
+
+TEST_F(ExecutableTest, RenderRefusesWrongViewsWithTwo) {
+  std::string deep = "a";
+  for (int i = 0; i < 200000; ++i) deep += ".a";
+  write("deep.toml", deep + " = 1\n");
+  write("empty.toml", "");
+  write("broken.toml", "[[view]\n");
+  for (const auto& [file, says] : {std::pair{"nothing.toml", "nothing.toml: no such file, expected a file of views"}, std::pair{".", ".: is a folder, expected a file of views"},
+                                   std::pair{"deep.toml", "deep.toml:1: a name with more than 500 dots"}, std::pair{"empty.toml", "empty.toml: no [[view]]"}, std::pair{"broken.toml", "broken.toml:1:"}}) {
+    const Ran ran = run(std::string("render run --out v --views ") + file);
+    EXPECT_EQ(ran.code, 2) << file;
+    EXPECT_THAT(ran.err, HasSubstr(says));
+  }
 }
 
 TEST_F(ExecutableTest, IngestRefusesAFileThatIsNamedTwice) {

@@ -301,6 +301,13 @@ TEST_F(ProjectTest, RefusesPhotographsThatShareAName) {
               HasSubstr("are of different kinds"));
 }
 
+TEST_F(ProjectTest, RefusesAPhotographWhoseNameIsNotUtf8) {
+  std::ofstream(scratch_.path() / "photos/photo_B\xc3\xbcste.exr") << "x";
+  EXPECT_EQ(complaint(kValid), "none");
+  std::ofstream(scratch_.path() / "photos/photo_B\xfcste.exr") << "x";
+  EXPECT_THAT(complaint(kValid), HasSubstr("photos/photo_B\xfcste.exr: its name is not UTF-8"));
+}
+
 TEST_F(ProjectTest, AppliesOverridesByNameByNumberAndToAll) {
   const Project p = load(kValid, Words{"solve.method=adam", "run.memory=1 GiB", "acquisition.night.ambient.model=none", "acquisition.0.ambient.model = sh2", "export.fill=true",
                                        "acquisition.day1.flash.intensity_range=[1, 2]", "run.threads=4", "project.name=\"x y\"", "acquisition.noise={gain = 0.5}"});

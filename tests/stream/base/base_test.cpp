@@ -11,6 +11,7 @@
 #include "stream/base/hash.h"
 #include "stream/base/parallel.h"
 #include "stream/base/rng.h"
+#include "stream/base/text.h"
 
 namespace chiaro {
 namespace {
@@ -175,6 +176,11 @@ TEST(EmptyFolder, RemovesAllButTheFolder) {
   write_text(scratch.path() / ".hidden", "x");
   empty_folder(scratch.path());
   EXPECT_TRUE(std::filesystem::is_empty(scratch.path()));
+}
+
+TEST(Text, Utf8IsToldFromOtherBytes) {
+  for (const char* good : {"", "plain", "B\xc3\xbcste", "\xe2\x82\xac", "\xed\x9f\xbf", "\xf0\x90\x8d\x88", "\xf4\x8f\xbf\xbf"}) EXPECT_TRUE(is_utf8(good)) << good;
+  for (const char* bad : {"B\xfcste", "\xc3", "\xc3z", "\x80", "\xc0\xaf", "\xe0\x80\x80", "\xed\xa0\x80", "\xf0\x80\x80\x80", "\xf4\x90\x80\x80", "\xf5\x80\x80\x80", "\xe2\x82"}) EXPECT_FALSE(is_utf8(bad));
 }
 
 }  // namespace

@@ -284,6 +284,25 @@ TEST(Metashape, SkipsUnalignedAndDisabledCamerasAndReadsGroups) {
   EXPECT_NE(notes[1].find("disabled"), std::string::npos);
 }
 
+TEST(Metashape, CamerasOfAComponentInAFrameOfItsOwnAreLeftOut) {
+  ScratchFolder scratch;
+  const fs::path file = scratch.path() / "cameras.xml";
+  std::string text = metashape(camera_xml("a", kIdentity, "sensor_id=\"0\" component_id=\"0\"") + camera_xml("b", kIdentity, "sensor_id=\"0\" component_id=\"1\"") +
+                                   camera_xml("c", kIdentity, "sensor_id=\"0\" component_id=\"5\"") + camera_xml("d", kIdentity),
+                               "<transform><translation>0 0 7</translation></transform>");
+  const std::string components = "<components>";
+  text.replace(text.find(components), components.size(), "<components active_id=\"0\"><component id=\"0\"/><component id=\"1\"/>");
+  put_bytes(file, text);
+  std::vector<std::string> notes;
+  const auto cameras = read(file, &notes);
+  ASSERT_EQ(cameras.size(), 3u);
+  EXPECT_EQ(cameras[0].pose.centre_in_world(), Vec3d(0, 0, 7));    // the active one's, as the chunk repeats it
+  EXPECT_EQ(cameras[1].pose.centre_in_world(), Vec3d(0, 0, 100));  // a transform of its own
+  EXPECT_EQ(cameras[2].photograph, "d");
+  ASSERT_EQ(notes.size(), 1u);
+  EXPECT_NE(notes[0].find("1 cameras belong to another component of the chunk than the active one"), std::string::npos) << notes[0];
+}
+
 TEST(Metashape, WhatIsNotFollowedIsNoted) {
   ScratchFolder scratch;
   const fs::path file = scratch.path() / "cameras.xml";
