@@ -184,7 +184,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   }
   solution.converged = solution.converged && change < kSettled;
   // With the lights final: the gathered light that the albedo stage reads.
-  sweep(solution.lights, albedo, kFirstSweeps, relaxation.share());
+  sweep(solution.lights, albedo, kFirstSweeps, relaxation.share(), true);
   albedo_ = mean_albedo(solution.lights);
   if (!use_pairs_) errors_ = estimate_errors(samples_, solution.lights);
   weigh_misreadings(solution);
@@ -271,8 +271,8 @@ Observation LightProblem::read(std::size_t k) const {
   return o;
 }
 
-/// One pass over the photographs: completes their radiosity under the lights (`share` of it new) and refreshes the samples.
-void LightProblem::sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share) {
+/// One pass over the photographs: completes their radiosity under the lights (`share` of it new) and refreshes the samples. last: what is gathered now stays.
+void LightProblem::sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share, bool last) {
   samples_.clear();
   for (const std::size_t k : photographs_) {
     Observation o = read(k);
@@ -304,8 +304,8 @@ void LightProblem::sweep(const Lights& lights, const std::vector<float>& albedo,
         r.reference.unknown_share = unknown_share(scene_.transport, r.stencil, o.radiosity, times_seen_);
         if (!o.floor_flash.empty()) r.reference.sample.floor_flash = interpolate<1>(r.stencil, o.floor_flash)[0];
       }
-    write_observation(o, observation_path(folder_, k));
-    write_floats(g, gathered_path(folder_, k));
+    write_radiosity(o, observation_path(folder_, k));
+    (last ? write_floats : write_floats_for_now)(g, gathered_path(folder_, k));
   }
   std::stable_sort(samples_.begin(), samples_.end(), [](const LightSample& a, const LightSample& b) { return a.group < b.group; });
 }

@@ -78,7 +78,7 @@ class LightProblem {
   double ambient_scale(std::size_t k) const { return input_.photographs[k].ambient_scale * own_[k].ambient; }
   void add_sample(std::size_t k, const Observation& o, const std::vector<float>& g, std::size_t i, std::uint32_t group);
   Observation read(std::size_t k) const;
-  void sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share);
+  void sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share, bool last = false);
   std::vector<float> mean_albedo(const Lights& lights) const;
   std::vector<ReferenceSample> current_references() const;
 

@@ -170,10 +170,20 @@ void cast_flash(const Proxy& proxy, const surfels::Tracer& tracer, const Vec3d& 
 }
 
 void write_observation(const Observation& o, const std::filesystem::path& path) {
-  AtomicFile file(path);
-  file.append(o.seen.data(), o.seen.size());
-  for (const auto* v : {&o.radiosity, &o.flash, &o.spread, &o.variance, &o.noise, &o.gradient, &o.tan_flash}) file.append(v->data(), v->size() * 4);
-  file.commit();
+  File file(path, File::Mode::kCreate);
+  std::uint64_t at = o.seen.size();
+  file.write_at(0, o.seen.data(), o.seen.size());
+  for (const auto* v : {&o.radiosity, &o.flash, &o.spread, &o.variance, &o.noise, &o.gradient, &o.tan_flash}) {
+    file.write_at(at, v->data(), v->size() * 4);
+    at += v->size() * 4;
+  }
+  file.close();
+}
+
+void write_radiosity(const Observation& o, const std::filesystem::path& path) {
+  File file(path, File::Mode::kReadWrite);
+  file.write_at(o.seen.size(), o.radiosity.data(), o.radiosity.size() * 4);
+  file.close();
 }
 
 Observation read_observation(const std::filesystem::path& path, std::size_t n) {
