@@ -142,15 +142,25 @@ class AcquisitionSolver {
     report_.begin("observe", input_.photographs.size(), "photographs");
     for (std::size_t k = 0; k < input_.photographs.size(); ++k) {
       Observation o = observe(scene_.proxy, input_.photographs[k]);
-      if (const auto flash = flash_in_world(input_, k)) {
-        cast_flash(scene_.proxy, tracer, *flash, o);
-        if (scene_.floor) write_floats(flash_by_floor(scene_.proxy, scene_.transport, smoother_, tracer, *scene_.floor, *flash), floor_flash_path(folder_, k));
-      }
+      if (const auto flash = flash_in_world(input_, k)) cast_flash(scene_.proxy, tracer, *flash, o);
       write_observation(o, observation_path(folder_, k));
       report_.progress(k + 1);
       report_.check();
     }
+    if (scene_.floor) light_floor(tracer);
     report_.end();
+  }
+
+  void light_floor(const surfels::Tracer& tracer) const {
+    constexpr std::size_t kTogether = 8;   // 64 bytes a surfel
+    for (std::size_t first = 0; first < with_flash_.size(); first += kTogether) {
+      report_.check();
+      const std::span<const std::size_t> some = std::span(with_flash_).subspan(first, std::min(kTogether, with_flash_.size() - first));
+      std::vector<Vec3d> flashes;
+      for (const std::size_t k : some) flashes.push_back(*flash_in_world(input_, k));
+      const std::vector<std::vector<float>> by_floor = flash_by_floor(scene_.proxy, scene_.transport, smoother_, tracer, *scene_.floor, flashes);
+      for (std::size_t i = 0; i < some.size(); ++i) write_floats(by_floor[i], floor_flash_path(folder_, some[i]));
+    }
   }
 
   /// The photographs whose lights are found together: all, or each with those without flash.
