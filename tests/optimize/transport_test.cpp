@@ -1,9 +1,11 @@
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <numbers>
 #include <set>
 
+#include "optimize/acquisition.h"
 #include "optimize/adam.h"
 #include "optimize/gather.h"
 #include "optimize/radiosity.h"
@@ -140,6 +142,34 @@ TEST(Radiosity, UnseenSurfelsFollowFromTheirAlbedo) {
   }
   EXPECT_NEAR(mean / expected, 1, 2e-3);
   EXPECT_LT(unseen, 0.05);
+}
+
+// Of two acquisitions over the same surfels the second takes what the first gathered, as a mark in it shows; with rays of another seed it does not.
+TEST(GatherScene, TakesWhatWasGatheredOverTheSameSurfels) {
+  const Lit s(tests::sphere_points(500, 1.0, {0, 0, 0}, false), 4);
+  AcquisitionInput input;
+  input.try_floor = false;
+  AcquisitionOptions options;
+  options.rays = 4;
+  MemoryBudget budget(512u << 20);
+  const auto folder = [&](const char* name) {
+    make_folder(s.folder.path() / name);
+    return s.folder.path() / name;
+  };
+  const auto gathered = [&](const char* name, std::span<const std::filesystem::path> others) {
+    gather_scene(s.store, input, options, folder(name), others, budget, silent_reporter());
+    return read_text(folder(name) / "transport.bin");
+  };
+  const std::string plain = gathered("plain", {});
+  const std::array others{folder("first")};
+  gathered("first", {});
+  EXPECT_EQ(gathered("second", others), plain);
+  Transport marked = read_transport(folder("first") / "transport.bin", s.proxy.size());
+  marked.sky[0] += 1;
+  write_transport(marked, folder("first") / "transport.bin");
+  EXPECT_EQ(gathered("third", others), read_text(folder("first") / "transport.bin"));
+  options.seed = 7;
+  EXPECT_EQ(gathered("fourth", others), gathered("fifth", {}));
 }
 
 // Photographs that see other parts, under other lights, and stop after different numbers of sweeps.
