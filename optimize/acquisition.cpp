@@ -5,6 +5,7 @@
 
 #include "optimize/proxy_file.h"
 #include "stream/base/error.h"
+#include "stream/base/file.h"
 
 namespace chiaro::optimize {
 namespace {
@@ -53,10 +54,22 @@ void write_floor_of(const Proxy& proxy, const Transport& transport, const Smooth
   write_floor(floor, hidden, path);
 }
 
+constexpr const char *kProxyFile = "proxy.bin", *kTransportFile = "transport.bin";
+
+/// What was gathered over the same surfels, turned the same way, by the same rays.
+std::optional<Transport> gathered_before(const Proxy& proxy, const AcquisitionOptions& options, const std::filesystem::path& folder, std::span<const std::filesystem::path> others) {
+  for (const std::filesystem::path& other : others) {
+    if (read_text(other / kProxyFile) != read_text(folder / kProxyFile)) continue;
+    Transport transport = read_transport(other / kTransportFile, proxy.size());
+    if (transport.rays == options.rays && transport.seed == options.seed) return transport;
+  }
+  return std::nullopt;
+}
+
 }  // namespace
 
 void gather_scene(const stream::Store& store, const AcquisitionInput& input, const AcquisitionOptions& options, const std::filesystem::path& folder,
-                  MemoryBudget& budget, Reporter& report) {
+                  std::span<const std::filesystem::path> others, MemoryBudget& budget, Reporter& report) {
   const std::uint64_t most = std::min<std::uint64_t>(options.max_proxy_surfels, proxy_surfels_within(budget.free_bytes() * 3 / 4, options.rays));
   const auto views = views_of(input);
   Proxy proxy = load_proxy(store, surfels::select_proxy(store, views, std::min(options.proxy_surfels, most), most));
@@ -70,17 +83,17 @@ void gather_scene(const stream::Store& store, const AcquisitionInput& input, con
   }
   orient(proxy, votes, nearest);
   const Smoother smoother = make_smoother(proxy, nearest);
-  const surfels::Tracer tracer = make_tracer(store, proxy, budget);
-  const Transport transport = gather(proxy, tracer, smoother, {options.rays, options.seed, kSmoothPasses}, report);
-  write_proxy(proxy, store.manifest().key, folder / "proxy.bin");
-  write_transport(transport, folder / "transport.bin");
+  write_proxy(proxy, store.manifest().key, folder / kProxyFile);
+  std::optional<Transport> known = gathered_before(proxy, options, folder, others);
+  const Transport transport = known ? std::move(*known) : gather(proxy, make_tracer(store, proxy, budget), smoother, {options.rays, options.seed, kSmoothPasses}, report);
+  write_transport(transport, folder / kTransportFile);
   write_floor_of(proxy, transport, smoother, input, folder / "floor.bin");
 }
 
 Scene load_scene(const stream::Store& store, const std::filesystem::path& folder) {
   Scene scene;
-  scene.proxy = read_proxy(store, folder / "proxy.bin");
-  scene.transport = read_transport(folder / "transport.bin", scene.proxy.size());
+  scene.proxy = read_proxy(store, folder / kProxyFile);
+  scene.transport = read_transport(folder / kTransportFile, scene.proxy.size());
   scene.floor = read_floor(folder / "floor.bin", scene.proxy.size(), scene.transport.hidden);
   scene.nearest = std::make_unique<NearestPoints>(scene.proxy.position);
   return scene;

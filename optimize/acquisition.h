@@ -2,6 +2,7 @@
 #pragma once
 #include <filesystem>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -85,9 +86,10 @@ struct Scene {
 };
 
 /// Chooses the proxy cut, orients it by what the photographs see, gathers, and writes folder/proxy.bin and folder/transport.bin.
+/// others: folders that this wrote for other acquisitions of the store. Where one chose the same, turned the same way, what was gathered there is taken: the same bits, without the rays.
 /// throws Error, Cancelled.
 void gather_scene(const stream::Store& store, const AcquisitionInput& input, const AcquisitionOptions& options, const std::filesystem::path& folder,
-                  MemoryBudget& budget, Reporter& report);
+                  std::span<const std::filesystem::path> others, MemoryBudget& budget, Reporter& report);
 
 /// Reads what gather_scene left. throws Error if it is damaged or belongs to another store.
 Scene load_scene(const stream::Store& store, const std::filesystem::path& folder);

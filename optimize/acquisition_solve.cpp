@@ -8,7 +8,9 @@
 #include "optimize/normal_scatter.h"
 #include "optimize/proxy_file.h"
 #include "optimize/radiosity.h"
+#include "stream/base/disk_space.h"
 #include "stream/base/error.h"
+#include "stream/base/file.h"
 
 namespace chiaro::optimize {
 namespace {
@@ -112,6 +114,7 @@ class AcquisitionSolver {
       const auto problems = split();
       for (const auto& photographs : problems) albedo = solve_problem(photographs, problems.size() == 1, bounce_sd);
     }
+    forget_observations();
     result_.errors.resize(result_.lights.size());
     write_floats(albedo, proxy_albedo_path(folder_));
     return std::move(result_);
@@ -120,19 +123,44 @@ class AcquisitionSolver {
  private:
   void note(std::string text) { result_.notes.push_back(std::move(text)); }
 
+  /// What the photographs say is kept on disk while their lights are found, and what each of them gathers until its albedo is.
+  void require_space() const {
+    std::uint64_t there = 0;
+    for (std::size_t k = 0; k < input_.photographs.size(); ++k)
+      for (const auto& file : {observation_path(folder_, k), gathered_path(folder_, k), floor_flash_path(folder_, k)}) there += allocated_bytes(file);
+    const std::uint64_t each = observation_bytes(scene_.proxy.size()) + scene_.proxy.size() * (3 + (scene_.floor ? 1 : 0)) * sizeof(float);
+    require_disk_space(folder_, "what is found of the photographs' light", input_.photographs.size() * each, free_disk_bytes(folder_) + there);
+  }
+
+  void forget_observations() const {
+    std::error_code code;
+    for (std::size_t k = 0; k < input_.photographs.size(); ++k) std::filesystem::remove(observation_path(folder_, k), code);
+  }
+
   void observe_all(const surfels::Tracer& tracer) const {
+    require_space();
     report_.begin("observe", input_.photographs.size(), "photographs");
     for (std::size_t k = 0; k < input_.photographs.size(); ++k) {
       Observation o = observe(scene_.proxy, input_.photographs[k]);
-      if (const auto flash = flash_in_world(input_, k)) {
-        cast_flash(scene_.proxy, tracer, *flash, o);
-        if (scene_.floor) write_floats(flash_by_floor(scene_.proxy, scene_.transport, smoother_, tracer, *scene_.floor, *flash), floor_flash_path(folder_, k));
-      }
+      if (const auto flash = flash_in_world(input_, k)) cast_flash(scene_.proxy, tracer, *flash, o);
       write_observation(o, observation_path(folder_, k));
       report_.progress(k + 1);
       report_.check();
     }
+    if (scene_.floor) light_floor(tracer);
     report_.end();
+  }
+
+  void light_floor(const surfels::Tracer& tracer) const {
+    constexpr std::size_t kTogether = 8;   // 64 bytes a surfel
+    for (std::size_t first = 0; first < with_flash_.size(); first += kTogether) {
+      report_.check();
+      const std::span<const std::size_t> some = std::span(with_flash_).subspan(first, std::min(kTogether, with_flash_.size() - first));
+      std::vector<Vec3d> flashes;
+      for (const std::size_t k : some) flashes.push_back(*flash_in_world(input_, k));
+      const std::vector<std::vector<float>> by_floor = flash_by_floor(scene_.proxy, scene_.transport, smoother_, tracer, *scene_.floor, flashes);
+      for (std::size_t i = 0; i < some.size(); ++i) write_floats(by_floor[i], floor_flash_path(folder_, some[i]));
+    }
   }
 
   /// The photographs whose lights are found together: all, or each with those without flash.

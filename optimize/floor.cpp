@@ -127,19 +127,26 @@ std::vector<float> hidden_by_floor(const Proxy& proxy, const Transport& transpor
   return hidden;
 }
 
-std::vector<float> flash_by_floor(const Proxy& proxy, const Transport& transport, const Smoother& smoother, const surfels::Tracer& tracer, const Floor& floor,
-                                  const Vec3d& flash_in_world) {
-  const FlashMap map(proxy, tracer, floor, flash_in_world);
-  std::vector<float> irradiance(proxy.size(), 0.0f);
+std::vector<std::vector<float>> flash_by_floor(const Proxy& proxy, const Transport& transport, const Smoother& smoother, const surfels::Tracer& tracer, const Floor& floor,
+                                               std::span<const Vec3d> flashes_in_world) {
+  std::vector<FlashMap> maps;
+  for (const Vec3d& flash : flashes_in_world) maps.emplace_back(proxy, tracer, floor, flash);
+  const std::size_t count = maps.size();
+  std::vector<float> irradiance(count * proxy.size(), 0.0f);   // flashes beside each other
   parallel_blocks(proxy.size(), 1024, [&](std::size_t b, std::size_t e) {
     for (std::size_t i = b; i < e; ++i) {
-      float sum = 0;
-      for_floor_rays(proxy, transport, floor, i, [&](const Vec3f&, const Vec3f& y) { sum += map.irradiance(y); });
-      irradiance[i] = sum / static_cast<float>(transport.rays);
+      float* sum = irradiance.data() + i * count;
+      for_floor_rays(proxy, transport, floor, i, [&](const Vec3f&, const Vec3f& y) {
+        for (std::size_t f = 0; f < count; ++f) sum[f] += maps[f].irradiance(y);
+      });
+      for (std::size_t f = 0; f < count; ++f) sum[f] /= static_cast<float>(transport.rays);
     }
   });
-  smoother.apply(irradiance, 1, kSmoothPasses);
-  return irradiance;
+  smoother.apply(irradiance, static_cast<int>(count), kSmoothPasses);
+  std::vector<std::vector<float>> each(count, std::vector<float>(proxy.size()));
+  for (std::size_t i = 0; i < proxy.size(); ++i)
+    for (std::size_t f = 0; f < count; ++f) each[f][i] = irradiance[i * count + f];
+  return each;
 }
 
 void write_floor(const std::optional<Floor>& floor, const std::vector<float>& hidden, const std::filesystem::path& path) {

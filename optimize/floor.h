@@ -28,9 +28,10 @@ std::optional<Floor> find_floor(const Proxy& proxy, std::span<const Mat3d> rotat
 /// What the floor hides of the sky: N * kSkyTerms, in the terms of Transport::sky, smoothed like them. From the same rays as the transport.
 std::vector<float> hidden_by_floor(const Proxy& proxy, const Transport& transport, const Smoother& smoother, const Floor& floor);
 
-/// Irradiance of the surfels by way of a white floor per unit of flash intensity, 1/unit^2: N values, smoothed. Shadows of the proxy on the floor are cast.
-std::vector<float> flash_by_floor(const Proxy& proxy, const Transport& transport, const Smoother& smoother, const surfels::Tracer& tracer, const Floor& floor,
-                                  const Vec3d& flash_in_world);
+/// Irradiance of the surfels by way of a white floor per unit of intensity of each flash, 1/unit^2: N values each, smoothed. Shadows of the proxy on the floor are cast. The way
+/// of each ray is found once for all flashes; each gets the same bits as by itself.
+std::vector<std::vector<float>> flash_by_floor(const Proxy& proxy, const Transport& transport, const Smoother& smoother, const surfels::Tracer& tracer, const Floor& floor,
+                                               std::span<const Vec3d> flashes_in_world);
 
 /// On disk: the plane and hidden_by_floor(), or that there is none. throws Error on anything else.
 void write_floor(const std::optional<Floor>& floor, const std::vector<float>& hidden, const std::filesystem::path& path);

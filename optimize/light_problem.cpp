@@ -184,7 +184,7 @@ LightSolution LightProblem::solve(SkyShape sky, const Lights& start, int& outer,
   }
   solution.converged = solution.converged && change < kSettled;
   // With the lights final: the gathered light that the albedo stage reads.
-  sweep(solution.lights, albedo, kFirstSweeps, relaxation.share());
+  sweep(solution.lights, albedo, kFirstSweeps, relaxation.share(), true);
   albedo_ = mean_albedo(solution.lights);
   if (!use_pairs_) errors_ = estimate_errors(samples_, solution.lights);
   weigh_misreadings(solution);
@@ -271,43 +271,54 @@ Observation LightProblem::read(std::size_t k) const {
   return o;
 }
 
-/// One pass over the photographs: completes their radiosity under the lights (`share` of it new) and refreshes the samples.
-void LightProblem::sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share) {
+/// One pass over the photographs: completes their radiosity under the lights (`share` of it new) and refreshes the samples. last: what is gathered now stays.
+void LightProblem::sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share, bool last) {
   samples_.clear();
-  for (const std::size_t k : photographs_) {
-    Observation o = read(k);
-    std::vector<float> before;
-    if (share < 1) before = o.radiosity;
-    const Lights here = exposed(lights, ambient_scale(k));
-    std::vector<float> measured;
-    if (here.gloss.on) measured = send_out(scene_.proxy, scene_.transport, viewpoint(k), read_floats(gathered_path(folder_, k), 3 * o.seen.size()), here, o);
-    std::vector<float> g = complete_radiosity(scene_.transport, smoother_, kSmoothPasses, here, here.gloss.on ? coated_albedo(here.gloss, albedo) : albedo, o, max_sweeps, kSweepTolerance);
-    for (std::size_t i = 0; i < measured.size(); ++i)
-      if (o.seen[i / 3]) o.radiosity[i] = measured[i];
-    if (share < 1) {   // gathering is linear: what holds for the radiosity holds for G
-      blend_into(o.radiosity, before, share);
-      blend_into(g, read_floats(gathered_path(folder_, k), g.size()), share);
+  const std::vector<float> sent_back = lights.gloss.on ? coated_albedo(lights.gloss, albedo) : std::vector<float>();
+  for (std::size_t first = 0; first < photographs_.size(); first += Completion::kMost) {
+    const std::span<const std::size_t> some = std::span(photographs_).subspan(first, std::min(Completion::kMost, photographs_.size() - first));
+    Completion completion(scene_.transport, smoother_, kSmoothPasses, some.size());
+    for (const std::size_t k : some) {
+      Observation o = read(k);
+      const Lights here = exposed(lights, ambient_scale(k));
+      if (here.gloss.on) send_out(scene_.proxy, scene_.transport, viewpoint(k), read_floats(gathered_path(folder_, k), 3 * o.seen.size()), here, o);
+      completion.add(here, here.gloss.on ? sent_back : albedo, o);
     }
-    if (use_pairs_) {
-      for (std::size_t p = 0; p < pairs_.size(); ++p)
-        for (const std::uint32_t i : {pairs_[p].a, pairs_[p].b}) {
-          add_sample(k, o, g, i, static_cast<std::uint32_t>(p));
-          samples_.back().trust = pairs_[p].trust;
-        }
-    } else {
-      for (const std::uint32_t i : chosen_)
-        if (o.seen[i] && !strangers_[k]) add_sample(k, o, g, i, i);
-    }
-    for (ReferenceReading& r : references_)
-      if (r.photograph == k) {
-        r.reference.sample.gathered = interpolate<3>(r.stencil, g);
-        r.reference.unknown_share = unknown_share(scene_.transport, r.stencil, o.radiosity, times_seen_);
-        if (!o.floor_flash.empty()) r.reference.sample.floor_flash = interpolate<1>(r.stencil, o.floor_flash)[0];
-      }
-    write_observation(o, observation_path(folder_, k));
-    write_floats(g, gathered_path(folder_, k));
+    completion.solve(max_sweeps, kSweepTolerance);
+    for (std::size_t i = 0; i < some.size(); ++i) refresh(some[i], completion, i, share, last);
   }
   std::stable_sort(samples_.begin(), samples_.end(), [](const LightSample& a, const LightSample& b) { return a.group < b.group; });
+}
+
+/// What a pass found of a photograph, into its files, samples and references.
+void LightProblem::refresh(std::size_t k, const Completion& completion, std::size_t place, double share, bool last) {
+  Observation o = read(k);
+  std::vector<float> before;
+  if (share < 1) before = o.radiosity;
+  completion.take_unseen(place, o);
+  std::vector<float> g = completion.gathered(place);
+  if (share < 1) {   // gathering is linear: what holds for the radiosity holds for G
+    blend_into(o.radiosity, before, share);
+    blend_into(g, read_floats(gathered_path(folder_, k), g.size()), share);
+  }
+  if (use_pairs_) {
+    for (std::size_t p = 0; p < pairs_.size(); ++p)
+      for (const std::uint32_t i : {pairs_[p].a, pairs_[p].b}) {
+        add_sample(k, o, g, i, static_cast<std::uint32_t>(p));
+        samples_.back().trust = pairs_[p].trust;
+      }
+  } else {
+    for (const std::uint32_t i : chosen_)
+      if (o.seen[i] && !strangers_[k]) add_sample(k, o, g, i, i);
+  }
+  for (ReferenceReading& r : references_)
+    if (r.photograph == k) {
+      r.reference.sample.gathered = interpolate<3>(r.stencil, g);
+      r.reference.unknown_share = unknown_share(scene_.transport, r.stencil, o.radiosity, times_seen_);
+      if (!o.floor_flash.empty()) r.reference.sample.floor_flash = interpolate<1>(r.stencil, o.floor_flash)[0];
+    }
+  write_radiosity(o, observation_path(folder_, k));
+  (last ? write_floats : write_floats_for_now)(g, gathered_path(folder_, k));
 }
 
 /// The albedo that the photographs have under these lights, with the light gathered last: what unseen surfels radiate must not lag behind the lights by a step,

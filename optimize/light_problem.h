@@ -14,6 +14,7 @@
 #include "optimize/light_samples.h"
 #include "optimize/light_step.h"
 #include "optimize/own_light.h"
+#include "optimize/radiosity.h"
 #include "optimize/sky_shape.h"
 
 namespace chiaro::optimize {
@@ -78,7 +79,8 @@ class LightProblem {
   double ambient_scale(std::size_t k) const { return input_.photographs[k].ambient_scale * own_[k].ambient; }
   void add_sample(std::size_t k, const Observation& o, const std::vector<float>& g, std::size_t i, std::uint32_t group);
   Observation read(std::size_t k) const;
-  void sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share);
+  void sweep(const Lights& lights, const std::vector<float>& albedo, int max_sweeps, double share, bool last = false);
+  void refresh(std::size_t k, const Completion& completion, std::size_t place, double share, bool last);
   std::vector<float> mean_albedo(const Lights& lights) const;
   std::vector<ReferenceSample> current_references() const;
 

@@ -169,16 +169,28 @@ void cast_flash(const Proxy& proxy, const surfels::Tracer& tracer, const Vec3d& 
   });
 }
 
+std::uint64_t observation_bytes(std::size_t n) { return n * (1 + 9 * std::uint64_t{4}); }
+
 void write_observation(const Observation& o, const std::filesystem::path& path) {
-  AtomicFile file(path);
-  file.append(o.seen.data(), o.seen.size());
-  for (const auto* v : {&o.radiosity, &o.flash, &o.spread, &o.variance, &o.noise, &o.gradient, &o.tan_flash}) file.append(v->data(), v->size() * 4);
-  file.commit();
+  File file(path, File::Mode::kCreate);
+  std::uint64_t at = o.seen.size();
+  file.write_at(0, o.seen.data(), o.seen.size());
+  for (const auto* v : {&o.radiosity, &o.flash, &o.spread, &o.variance, &o.noise, &o.gradient, &o.tan_flash}) {
+    file.write_at(at, v->data(), v->size() * 4);
+    at += v->size() * 4;
+  }
+  file.close();
+}
+
+void write_radiosity(const Observation& o, const std::filesystem::path& path) {
+  File file(path, File::Mode::kReadWrite);
+  file.write_at(o.seen.size(), o.radiosity.data(), o.radiosity.size() * 4);
+  file.close();
 }
 
 Observation read_observation(const std::filesystem::path& path, std::size_t n) {
   const File file(path, File::Mode::kRead);
-  if (file.size() != n * (1 + 9 * 4)) throw Error(concat(path.string(), ": ", file.size(), " bytes, expected ", n * 37));
+  if (file.size() != observation_bytes(n)) throw Error(concat(path.string(), ": ", file.size(), " bytes, expected ", observation_bytes(n)));
   Observation o;
   std::uint64_t at = n;
   o.seen.resize(n);

@@ -42,8 +42,11 @@ Observation observe(const Proxy& proxy, const ObserveInput& input);
 /// Flash irradiance at the surfels that the photograph does not see: shadow rays through the proxy's tracer.
 void cast_flash(const Proxy& proxy, const surfels::Tracer& tracer, const Vec3d& flash_in_world, Observation& observation);
 
-/// State files: an observation between iterations. Not checked beyond size: they live and die with one run of the solver.
+/// State files: an observation between iterations. Neither synced nor checked beyond size: they live and die with one run of the solver, which goes over all of them again and again.
+std::uint64_t observation_bytes(std::size_t num_surfels);
 void write_observation(const Observation& observation, const std::filesystem::path& path);
+/// Into an observation's file, which is there: its radiosity, all that an iteration changes.
+void write_radiosity(const Observation& observation, const std::filesystem::path& path);
 Observation read_observation(const std::filesystem::path& path, std::size_t num_surfels);
 
 }  // namespace chiaro::optimize

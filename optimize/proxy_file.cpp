@@ -69,6 +69,16 @@ void write_floats(const std::vector<float>& values, const std::filesystem::path&
   file.commit();
 }
 
+void write_floats_for_now(const std::vector<float>& values, const std::filesystem::path& path) {
+  const std::uint32_t crc = crc32c(values.data(), values.size() * 4);
+  std::error_code code;
+  // Not cut to nothing first: file systems take that for a replacement, and write it to disk at once.
+  File file(path, std::filesystem::file_size(path, code) == values.size() * 4 + 4 && !code ? File::Mode::kReadWrite : File::Mode::kCreate);
+  file.write_at(0, values.data(), values.size() * 4);
+  file.write_at(values.size() * 4, &crc, 4);
+  file.close();
+}
+
 std::vector<float> read_floats(const std::filesystem::path& path, std::size_t count) {
   const File file(path, File::Mode::kRead);
   if (file.size() != count * 4 + 4) throw Error(concat(path.string(), ": ", file.size(), " bytes, expected ", count * 4 + 4));

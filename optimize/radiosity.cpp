@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "stream/base/parallel.h"
 
@@ -23,62 +24,152 @@ std::vector<float> direct_irradiance(const Transport& transport, std::span<const
 
 namespace {
 
-/// One Jacobi sweep over the unseen surfels: `next` (3 values each) from what o.radiosity holds. Returns how far they move, and their sum.
-std::pair<double, double> sweep_unseen(const Transport& transport, std::span<const std::uint32_t> unseen, std::span<const float> albedo, std::span<const float> direct, float bounce,
-                                       const Observation& o, std::vector<float>& next) {
+typedef float Four __attribute__((vector_size(16)));   // a GCC and Clang extension
+
+template <std::size_t kFours>
+struct Fours {
+  Four part[kFours];
+  void load(const float* from) { __builtin_memcpy(part, from, sizeof part); }
+  void store(float* to) const { __builtin_memcpy(to, part, sizeof part); }
+};
+
+/// Of each surfel, the sum over its rays of what stands where they hit.
+template <std::size_t kFours>
+void sum_hits_of(const Transport& transport, std::span<const std::uint32_t> surfels, const float* values, float* sums) {
   const auto rays = static_cast<std::size_t>(transport.rays);
-  struct Moved {
-    double by = 0, sum = 0;
-    Moved& operator+=(const Moved& other) {
-      by += other.by;
-      sum += other.sum;
-      return *this;
-    }
-  };
-  const Moved moved = deterministic_sum<Moved>(unseen.size(), 2048, Moved{}, [&](std::size_t b, std::size_t e) {
-    Moved m;
+  parallel_blocks(surfels.size(), 512, [&](std::size_t b, std::size_t e) {
     for (std::size_t u = b; u < e; ++u) {
-      const std::size_t i = unseen[u];
-      float g[3] = {0, 0, 0};
+      const std::size_t i = surfels[u];
+      Fours<kFours> sum{}, hit;
       for (std::size_t r = i * rays; r < (i + 1) * rays; ++r) {
         const std::uint32_t j = transport.hits[r];
         if (j == Transport::kSky) continue;
-        for (std::size_t c = 0; c < 3; ++c) g[c] += o.radiosity[3 * j + c];
+        hit.load(values + j * 4 * kFours);
+        for (std::size_t k = 0; k < kFours; ++k) sum.part[k] += hit.part[k];
       }
+      sum.store(sums + i * 4 * kFours);
+    }
+  });
+}
+
+template <std::size_t kFours>
+void smooth_once(const Smoother& smoother, const float* values, float* out) {
+  parallel_blocks(smoother.index.size() / smoother.k, 2048, [&](std::size_t b, std::size_t e) {
+    for (std::size_t i = b; i < e; ++i) {
+      Fours<kFours> sum{}, near;
+      for (std::size_t n = i * smoother.k; n < (i + 1) * smoother.k; ++n) {
+        near.load(values + smoother.index[n] * 4 * kFours);
+        for (std::size_t k = 0; k < kFours; ++k) sum.part[k] += smoother.weight[n] * near.part[k];
+      }
+      sum.store(out + i * 4 * kFours);
+    }
+  });
+}
+
+struct Moved {
+  double by = 0, sum = 0;
+  Moved& operator+=(const Moved& other) {
+    by += other.by;
+    sum += other.sum;
+    return *this;
+  }
+};
+
+}  // namespace
+
+Completion::Completion(const Transport& transport, const Smoother& smoother, int smooth_passes, std::size_t photographs)
+    : transport_(transport), smoother_(smoother), smooth_passes_(smooth_passes), floats_(photographs == 1 ? 4 : 16), radiosity_(make_lines()), gathered_(make_lines()) {}
+
+Completion::Lines Completion::make_lines() const { return Lines((transport_.size() * floats_ + std::size(Line{}.values) - 1) / std::size(Line{}.values)); }
+
+void Completion::add(const Lights& lights, std::span<const float> albedo, const Observation& o) {
+  Photograph p{albedo, static_cast<float>(lights.bounce), direct_irradiance(transport_, o.flash, o.floor_flash, lights), {}};
+  const std::size_t place = 3 * photographs_.size();
+  for (std::size_t i = 0; i < transport_.size(); ++i) {
+    std::copy_n(o.radiosity.begin() + static_cast<std::ptrdiff_t>(3 * i), 3, at(radiosity_, i) + place);
+    if (!o.seen[i]) p.unseen.push_back(static_cast<std::uint32_t>(i));
+    else for (std::size_t c = 0; c < 3; ++c) p.seen_sum += static_cast<double>(o.radiosity[3 * i + c]);
+  }
+  photographs_.push_back(std::move(p));
+}
+
+std::vector<std::uint32_t> Completion::unseen_of_moving() const {
+  std::vector<std::uint8_t> wanted(transport_.size(), 0);
+  for (const Photograph& p : photographs_)
+    if (p.moving)
+      for (const std::uint32_t i : p.unseen) wanted[i] = 1;
+  std::vector<std::uint32_t> all;
+  for (std::size_t i = 0; i < wanted.size(); ++i)
+    if (wanted[i]) all.push_back(static_cast<std::uint32_t>(i));
+  return all;
+}
+
+void Completion::sum_hits(std::span<const std::uint32_t> surfels) {
+  (floats_ == 4 ? sum_hits_of<1> : sum_hits_of<4>)(transport_, surfels, at(radiosity_, 0), at(gathered_, 0));
+}
+
+/// Unseen surfels of a photograph from what was gathered: a Jacobi step. Returns how far they move.
+double Completion::move_unseen(std::size_t photograph, double& sum) {
+  const Photograph& p = photographs_[photograph];
+  const auto rays = static_cast<float>(transport_.rays);
+  const Moved moved = deterministic_sum<Moved>(p.unseen.size(), 2048, Moved{}, [&](std::size_t b, std::size_t e) {
+    Moved m;
+    for (std::size_t u = b; u < e; ++u) {
+      const std::size_t i = p.unseen[u];
+      const float* g = at(gathered_, i) + 3 * photograph;
+      float* radiosity = at(radiosity_, i) + 3 * photograph;
       for (std::size_t c = 0; c < 3; ++c) {
-        const float value = albedo[3 * i + c] * (direct[3 * i + c] + bounce * g[c] / static_cast<float>(rays));
-        m.by += static_cast<double>(std::fabs(value - o.radiosity[3 * i + c]));
+        const float value = p.albedo[3 * i + c] * (p.direct[3 * i + c] + p.bounce * g[c] / rays);
+        m.by += static_cast<double>(std::fabs(value - radiosity[c]));
         m.sum += static_cast<double>(value);
-        next[3 * u + c] = value;
+        radiosity[c] = value;
       }
     }
     return m;
   });
-  return {moved.by, moved.sum};
+  sum = moved.sum;
+  return moved.by;
 }
 
-}  // namespace
+void Completion::smooth() {
+  Lines out = make_lines();
+  for (int pass = 0; pass < smooth_passes_; ++pass) {
+    (floats_ == 4 ? smooth_once<1> : smooth_once<4>)(smoother_, at(gathered_, 0), at(out, 0));
+    gathered_.swap(out);
+  }
+}
 
-std::vector<float> complete_radiosity(const Transport& transport, const Smoother& smoother, int smooth_passes, const Lights& lights, std::span<const float> albedo,
-                                      Observation& o, int max_sweeps, double tolerance, int* sweeps) {
-  const std::vector<float> direct = direct_irradiance(transport, o.flash, o.floor_flash, lights);
-  std::vector<std::uint32_t> unseen;
-  double seen_sum = 0;
-  for (std::size_t i = 0; i < transport.size(); ++i) {
-    if (!o.seen[i]) unseen.push_back(static_cast<std::uint32_t>(i));
-    else for (std::size_t c = 0; c < 3; ++c) seen_sum += static_cast<double>(o.radiosity[3 * i + c]);
+void Completion::solve(int max_sweeps, double tolerance) {
+  for (int sweep = 0; sweep < max_sweeps; ++sweep) {
+    const std::vector<std::uint32_t> unseen = unseen_of_moving();
+    sum_hits(unseen);
+    for (std::size_t k = 0; k < photographs_.size(); ++k) {
+      Photograph& p = photographs_[k];
+      if (!p.moving) continue;
+      double sum = 0;
+      const double moved = move_unseen(k, sum);
+      p.moving = moved > tolerance * (sum + p.seen_sum);
+      ++p.sweeps;
+    }
+    if (std::none_of(photographs_.begin(), photographs_.end(), [](const Photograph& p) { return p.moving; })) break;
   }
-  std::vector<float> next(3 * unseen.size());
-  int sweep = 0;
-  for (bool moving = true; moving && sweep < max_sweeps; ++sweep) {
-    const auto [moved, sum] = sweep_unseen(transport, unseen, albedo, direct, static_cast<float>(lights.bounce), o, next);
-    for (std::size_t u = 0; u < unseen.size(); ++u) std::copy_n(next.begin() + static_cast<std::ptrdiff_t>(3 * u), 3, o.radiosity.begin() + 3 * static_cast<std::ptrdiff_t>(unseen[u]));
-    moving = moved > tolerance * (sum + seen_sum);
-  }
-  std::vector<float> g;
-  gather_radiosity(transport, o.radiosity, g);
-  smoother.apply(g, 3, smooth_passes);
-  if (sweeps) *sweeps = sweep;
+  for (Photograph& p : photographs_) p.direct = {};
+  std::vector<std::uint32_t> all(transport_.size());
+  std::iota(all.begin(), all.end(), 0u);
+  sum_hits(all);
+  const auto rays = static_cast<float>(transport_.rays);
+  for (Line& line : gathered_)
+    for (float& v : line.values) v /= rays;
+  smooth();
+}
+
+void Completion::take_unseen(std::size_t photograph, Observation& o) const {
+  for (const std::uint32_t i : photographs_[photograph].unseen) std::copy_n(at(radiosity_, i) + 3 * photograph, 3, o.radiosity.begin() + 3 * static_cast<std::ptrdiff_t>(i));
+}
+
+std::vector<float> Completion::gathered(std::size_t photograph) const {
+  std::vector<float> g(3 * transport_.size());
+  for (std::size_t i = 0; i < transport_.size(); ++i) std::copy_n(at(gathered_, i) + 3 * photograph, 3, g.begin() + static_cast<std::ptrdiff_t>(3 * i));
   return g;
 }
 

@@ -72,7 +72,7 @@ OtherLight other_light(const stream::Store& store, const Scene& scene, const std
   for (std::size_t i = 0; i < n; ++i) o.flash[i] *= flash_share(view, scene.proxy.position[i] - (flash_in_world - scene.proxy.origin_in_world).cast<float>());
   const Smoother smoother = make_smoother(scene.proxy, *scene.nearest);
   OtherLight other;
-  if (lights.floor && scene.floor) other.floor_flash = flash_by_floor(scene.proxy, scene.transport, smoother, tracer, *scene.floor, flash_in_world);
+  if (lights.floor && scene.floor) other.floor_flash = flash_by_floor(scene.proxy, scene.transport, smoother, tracer, *scene.floor, std::span(&flash_in_world, 1)).front();
   const std::vector<float> direct = direct_irradiance(scene.transport, o.flash, other.floor_flash, lights);
   const std::vector<float> b = forward_radiosity(scene.transport, lights.gloss.on ? coated_albedo(lights.gloss, proxy_albedo) : proxy_albedo, direct, lights.bounce, scatterings);
   gather_radiosity(scene.transport, b, other.gathered);

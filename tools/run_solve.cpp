@@ -162,8 +162,11 @@ void solve_lights(RunContext& run, const stream::Store& store, std::vector<Shoot
   if (input.floor_plane)
     for (const double v : *input.floor_plane) h.add(v);
   shoot.transport_key = h.hex();
+  std::vector<std::filesystem::path> others;
+  for (std::size_t i = 0; i < lead; ++i)
+    if (!shoots[i].transport_key.empty()) others.push_back(run.folder.acquisition(shoots[i].acquisition->name));
   run.task("gather/" + a.name, shoot.transport_key, {folder / "proxy.bin", folder / "transport.bin", folder / "floor.bin"}, [&] {
-    optimize::gather_scene(store, input, options, folder, run.budget, run.report);
+    optimize::gather_scene(store, input, options, folder, others, run.budget, run.report);
     return Json::object();
   });
   add_light_inputs(h, input, options, run.project.metres_per_unit);

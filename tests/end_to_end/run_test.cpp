@@ -38,6 +38,7 @@ TEST_F(Run, LeavesEverythingThatTheContractLists) {
   EXPECT_THAT(stream::exr_channel_names(at("out/photographs/photo_00/light.exr")), testing::UnorderedElementsAre("direct", "indirect", "ambient"));
   EXPECT_THAT(stream::exr_channel_names(at("out/photographs/photo_00/albedo.exr")), testing::UnorderedElementsAre("R", "G", "B"));
   EXPECT_THAT(parts("out"), testing::IsEmpty());
+  for (const auto& file : fs::recursive_directory_iterator(at("out/work/acquisitions"))) EXPECT_THAT(file.path().filename().string(), testing::Not(testing::StartsWith("observation"))) << "state of the search for the lights";
 }
 
 TEST_F(Run, WritesVertexPropertiesInTheOrderOfTheContract) {

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 
@@ -23,6 +25,10 @@ std::size_t middle_of(const Proxy& proxy) {
   for (std::size_t i = 1; i < proxy.size(); ++i)
     if (proxy.position[i].squaredNorm() < proxy.position[best].squaredNorm()) best = i;
   return best;
+}
+
+std::vector<float> by_floor(const Proxy& proxy, const Transport& transport, const Smoother& smoother, const surfels::Tracer& tracer, const Floor& floor, const Vec3d& flash) {
+  return flash_by_floor(proxy, transport, smoother, tracer, floor, std::array{flash}).front();
 }
 
 TEST(Floor, HidesTheHalfOfTheSkyThatASurfaceFaces) {
@@ -47,9 +53,9 @@ TEST(Floor, SendsBackTheFlashThatFallsOnIt) {
   double expected = 0;
   constexpr double kStep = 1e-3;
   for (double r = kStep / 2; r < 60; r += kStep) expected += 2 * std::numbers::pi * r * kStep * kB / std::pow(kB * kB + r * r, 1.5) * kA * kA / (std::numbers::pi * std::pow(kA * kA + r * r, 2));
-  const std::vector<float> e = flash_by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), {0, 0, kB});
+  const std::vector<float> e = by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), {0, 0, kB});
   EXPECT_NEAR(static_cast<double>(e[middle_of(s.proxy)]) / expected, 1, 0.01);
-  const std::vector<float> below = flash_by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), {0, 0, -0.5});
+  const std::vector<float> below = by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), {0, 0, -0.5});
   EXPECT_EQ(below[middle_of(s.proxy)], 0) << "a flash under the floor";
 }
 
@@ -61,8 +67,8 @@ TEST(Floor, LiesInTheShadowOfTheCloud) {
   MemoryBudget budget(16u << 20);
   surfels::Tracer empty(s.proxy.origin_in_world, budget);
   empty.commit();
-  const float lit = at_middle(flash_by_floor(s.proxy, s.transport, s.smoother, empty, ground(s.proxy), flash));
-  const float shaded = at_middle(flash_by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), flash));
+  const float lit = at_middle(by_floor(s.proxy, s.transport, s.smoother, empty, ground(s.proxy), flash));
+  const float shaded = at_middle(by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), flash));
   EXPECT_GT(shaded, 0);
   EXPECT_LT(shaded, 0.25f * lit);
 }
@@ -87,12 +93,24 @@ TEST(Floor, IsFoundBelowTheCloud) {
   EXPECT_FALSE(find_floor(s.proxy, {}));
 }
 
+// Each as by itself, to the last bit.
+TEST(Floor, IsLitByManyFlashesAtOnce) {
+  const Lit s(chiaro::tests::sphere_points(3000, 0.5, {0, 0, 1}, false), 32);
+  const std::array flashes{Vec3d(1, 1, 1), Vec3d(-2, 0.3, 0.6), Vec3d(0.1, -1, 3)};
+  const std::vector<std::vector<float>> all = flash_by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), flashes);
+  ASSERT_EQ(all.size(), flashes.size());
+  for (std::size_t f = 0; f < flashes.size(); ++f) {
+    EXPECT_EQ(all[f], by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), flashes[f])) << f;
+    EXPECT_GT(*std::max_element(all[f].begin(), all[f].end()), 0);
+  }
+}
+
 TEST(Floor, IsTheSameForAnyThreadsAndFromDisk) {
   const Lit s(chiaro::tests::sphere_points(4000, 0.5, {0, 0, 0.6}, false), 32, 1);
   const auto both = [&](int threads) {
     const ThreadLimit limit(threads);
     std::vector<float> v = hidden_by_floor(s.proxy, s.transport, s.smoother, ground(s.proxy));
-    const std::vector<float> e = flash_by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), {1, 1, 1});
+    const std::vector<float> e = by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), {1, 1, 1});
     v.insert(v.end(), e.begin(), e.end());
     return v;
   };
@@ -122,7 +140,7 @@ TEST(Floor, StandsPointsBelowIt) {
 // Irradiance is per square metre: in units of half a metre a lamp at the same number of units is four times as bright.
 TEST(Floor, SendsBackTheFlashPerSquareMetre) {
   Lit s(chiaro::tests::square_points(20, 0.2, {0, 0, 1}, {0, 0, -1}, 1), 64);
-  const auto at_middle = [&] { return flash_by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), {0, 0, 0.9})[middle_of(s.proxy)]; };
+  const auto at_middle = [&] { return by_floor(s.proxy, s.transport, s.smoother, *s.tracer, ground(s.proxy), {0, 0, 0.9})[middle_of(s.proxy)]; };
   const float metres = at_middle();
   s.proxy.metres_per_unit = 0.5;
   EXPECT_NEAR(at_middle() / metres, 4, 1e-4);

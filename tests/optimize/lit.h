@@ -2,9 +2,11 @@
 #pragma once
 #include <algorithm>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "optimize/gather.h"
+#include "optimize/radiosity.h"
 #include "stream/base/file.h"
 #include "tests/support/sampled_surface.h"
 
@@ -35,5 +37,16 @@ struct Lit {
   std::unique_ptr<surfels::Tracer> tracer;
   Transport transport;
 };
+
+/// The radiosity of one photograph, completed by itself; returns what is gathered.
+inline std::vector<float> complete_alone(const Transport& transport, const Smoother& smoother, int smooth_passes, const Lights& lights, std::span<const float> albedo, Observation& o, int max_sweeps,
+                                         double tolerance, int* sweeps = nullptr) {
+  Completion completion(transport, smoother, smooth_passes, 1);
+  completion.add(lights, albedo, o);
+  completion.solve(max_sweeps, tolerance);
+  completion.take_unseen(0, o);
+  if (sweeps) *sweeps = completion.sweeps(0);
+  return completion.gathered(0);
+}
 
 }  // namespace chiaro::optimize::tests

@@ -230,6 +230,13 @@ TEST(Observe, IsTheSameForAnyThreadsAndFromDisk) {
   const Observation back = read_observation(s.folder.path() / "observation.bin", s.scene.proxy.size());
   EXPECT_EQ(back.seen, o.seen);
   for (const auto member : {&Observation::radiosity, &Observation::flash, &Observation::spread, &Observation::variance, &Observation::noise, &Observation::gradient, &Observation::tan_flash}) EXPECT_EQ(back.*member, o.*member);
+  Observation changed = o;
+  changed.radiosity.assign(o.radiosity.size(), 0.25f);
+  write_radiosity(changed, s.folder.path() / "observation.bin");
+  const Observation again = read_observation(s.folder.path() / "observation.bin", s.scene.proxy.size());
+  EXPECT_EQ(again.radiosity, changed.radiosity);
+  EXPECT_EQ(again.seen, o.seen);
+  EXPECT_EQ(again.tan_flash, o.tan_flash);
   EXPECT_THROW(read_observation(s.folder.path() / "observation.bin", s.scene.proxy.size() + 1), Error);
 }
 

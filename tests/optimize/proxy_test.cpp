@@ -209,7 +209,7 @@ TEST(Radiosity, OfTwoThatFaceEachOtherIsTheirClosedForm) {
   still.k = 1;
   still.index = {0, 1};
   still.weight = {1, 1};
-  const std::vector<float> g = complete_radiosity(t, still, 4, lights, albedo, o, 30, 1e-8);
+  const std::vector<float> g = tests::complete_alone(t, still, 4, lights, albedo, o, 30, 1e-8);
   EXPECT_EQ(o.radiosity[0], 3);
   EXPECT_NEAR(o.radiosity[4], rho[1] * (e[1] + b / 2 * 3), 1e-5);
   EXPECT_NEAR(g[0], 0.5 * rho[1] * (e[1] + b / 2 * 3), 1e-5);
@@ -218,7 +218,7 @@ TEST(Radiosity, OfTwoThatFaceEachOtherIsTheirClosedForm) {
   o.floor_flash = {0, 0.5f};
   lights.floor = true;
   lights.floor_albedo = 0.4;
-  complete_radiosity(t, still, 4, lights, albedo, o, 30, 1e-8);
+  tests::complete_alone(t, still, 4, lights, albedo, o, 30, 1e-8);
   EXPECT_NEAR(o.radiosity[4], rho[1] * (e[1] + 0.4 * 0.5 + b / 2 * 3), 1e-5);
   o.floor_flash.clear();
   lights.floor = false;
@@ -227,7 +227,7 @@ TEST(Radiosity, OfTwoThatFaceEachOtherIsTheirClosedForm) {
   mean.k = 2;
   mean.index = {0, 1, 1, 0};
   mean.weight = {0.75f, 0.25f, 0.75f, 0.25f};
-  EXPECT_NEAR(complete_radiosity(t, mean, 1, lights, albedo, o, 30, 1e-8)[0], 0.75 * g[0] + 0.25 * g[3], 1e-5);
+  EXPECT_NEAR(tests::complete_alone(t, mean, 1, lights, albedo, o, 30, 1e-8)[0], 0.75 * g[0] + 0.25 * g[3], 1e-5);
 }
 
 TEST(Radiosity, SweepsUntilNothingMovesOrAsOftenAsAllowed) {
@@ -244,7 +244,7 @@ TEST(Radiosity, SweepsUntilNothingMovesOrAsOftenAsAllowed) {
     o.flash = {1, 1};
     o.radiosity.assign(6, 0.0f);
     int done = 0;
-    complete_radiosity(t, still, 0, lights, albedo, o, most, tolerance, &done);
+    tests::complete_alone(t, still, 0, lights, albedo, o, most, tolerance, &done);
     return done;
   };
   EXPECT_EQ(sweeps(3, 1e-6), 3);

@@ -1,8 +1,11 @@
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <numbers>
+#include <set>
 
+#include "optimize/acquisition.h"
 #include "optimize/adam.h"
 #include "optimize/gather.h"
 #include "optimize/radiosity.h"
@@ -131,7 +134,7 @@ TEST(Radiosity, UnseenSurfelsFollowFromTheirAlbedo) {
       for (std::size_t c = 0; c < 3; ++c) o.radiosity[3 * i + c] = static_cast<float>(expected);
     }
   const std::vector<float> albedo(3 * n, static_cast<float>(kAlbedo));
-  const std::vector<float> g = complete_radiosity(s.transport, s.smoother, 2, lights, albedo, o, 60, 1e-8);
+  const std::vector<float> g = tests::complete_alone(s.transport, s.smoother, 2, lights, albedo, o, 60, 1e-8);
   double mean = 0, unseen = 0;
   for (std::size_t i = 0; i < n; ++i) {
     mean += static_cast<double>(g[3 * i + 1]) / static_cast<double>(n);
@@ -139,6 +142,73 @@ TEST(Radiosity, UnseenSurfelsFollowFromTheirAlbedo) {
   }
   EXPECT_NEAR(mean / expected, 1, 2e-3);
   EXPECT_LT(unseen, 0.05);
+}
+
+// Of two acquisitions over the same surfels the second takes what the first gathered, as a mark in it shows; with rays of another seed it does not.
+TEST(GatherScene, TakesWhatWasGatheredOverTheSameSurfels) {
+  const Lit s(tests::sphere_points(500, 1.0, {0, 0, 0}, false), 4);
+  AcquisitionInput input;
+  input.try_floor = false;
+  AcquisitionOptions options;
+  options.rays = 4;
+  MemoryBudget budget(512u << 20);
+  const auto folder = [&](const char* name) {
+    make_folder(s.folder.path() / name);
+    return s.folder.path() / name;
+  };
+  const auto gathered = [&](const char* name, std::span<const std::filesystem::path> others) {
+    gather_scene(s.store, input, options, folder(name), others, budget, silent_reporter());
+    return read_text(folder(name) / "transport.bin");
+  };
+  const std::string plain = gathered("plain", {});
+  const std::array others{folder("first")};
+  gathered("first", {});
+  EXPECT_EQ(gathered("second", others), plain);
+  Transport marked = read_transport(folder("first") / "transport.bin", s.proxy.size());
+  marked.sky[0] += 1;
+  write_transport(marked, folder("first") / "transport.bin");
+  EXPECT_EQ(gathered("third", others), read_text(folder("first") / "transport.bin"));
+  options.seed = 7;
+  EXPECT_EQ(gathered("fourth", others), gathered("fifth", {}));
+}
+
+// Photographs that see other parts, under other lights, and stop after different numbers of sweeps.
+TEST(Radiosity, OfPhotographsCompletedTogetherHasTheBitsOfEachAlone) {
+  const Lit s(tests::sphere_points(3000, 1.0, {0, 0, 0}, true), 16);
+  const std::size_t n = s.proxy.size();
+  std::vector<Lights> lights(Completion::kMost);
+  std::vector<Observation> seen(Completion::kMost);
+  std::vector<float> albedo;
+  for (std::size_t i = 0; i < 3 * n; ++i) albedo.push_back(0.2f + 0.6f * uniform01(5, Purpose::kTest, i, 0));
+  for (std::size_t k = 0; k < seen.size(); ++k) {
+    lights[k].flash_intensity = 2 + static_cast<double>(k);
+    lights[k].bounce = k == 3 ? 0.1 : 1.0;
+    Observation& o = seen[k];
+    for (std::size_t i = 0; i < n; ++i) {
+      o.seen.push_back(s.proxy.position[i].x() > 0.3f * static_cast<float>(k) - 0.5f);
+      o.flash.push_back(uniform01(5, Purpose::kTest, i, static_cast<std::uint32_t>(k + 1)));
+      for (std::size_t c = 0; c < 3; ++c) o.radiosity.push_back(o.seen[i] ? 1 + 0.1f * static_cast<float>(c + k) : 0.0f);
+    }
+  }
+  constexpr int kSweeps = 12;
+  constexpr double kTolerance = 1e-3;
+  for (const int threads : {1, 8}) {
+    const ThreadLimit limit(threads);
+    Completion together(s.transport, s.smoother, 2, seen.size());
+    for (std::size_t k = 0; k < seen.size(); ++k) together.add(lights[k], albedo, seen[k]);
+    together.solve(kSweeps, kTolerance);
+    std::set<int> sweeps;
+    for (std::size_t k = 0; k < seen.size(); ++k) {
+      Observation alone = seen[k], o = seen[k];
+      int done = 0;
+      EXPECT_EQ(together.gathered(k), tests::complete_alone(s.transport, s.smoother, 2, lights[k], albedo, alone, kSweeps, kTolerance, &done)) << k;
+      together.take_unseen(k, o);
+      EXPECT_EQ(o.radiosity, alone.radiosity) << k;
+      EXPECT_EQ(together.sweeps(k), done) << k;
+      sweeps.insert(done);
+    }
+    EXPECT_GT(sweeps.size(), 1u);
+  }
 }
 
 TEST(Adam, GradientsAgreeWithFiniteDifferences) {
