@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <limits>
+#include <optional>
 
 #include "stream/base/error.h"
 #include "stream/base/file.h"
@@ -24,6 +25,29 @@ void on_data_error(void* data, const char*, const int offset) {
   errors->any = true;
 }
 
+/// LibRaw goes through as many tags as a file claims to have, each a failed read where the file has long ended: hours for four thousand million of them.
+class EndingStream : public LibRaw_bigfile_datastream {
+ public:
+  explicit EndingStream(const char* path) : LibRaw_bigfile_datastream(path) {}
+  int read(void* to, std::size_t size, std::size_t count) override {
+    const int got = LibRaw_bigfile_datastream::read(to, size, count);
+    if (got == 0 && size > 0 && count > 0) count_beyond_end();
+    return got;
+  }
+  int get_char() override {
+    const int got = LibRaw_bigfile_datastream::get_char();
+    if (got < 0) count_beyond_end();
+    return got;
+  }
+
+ private:
+  void count_beyond_end() {
+    constexpr int kMostBeyondEnd = 200'000;
+    if (++beyond_end_ > kMostBeyondEnd) throw LIBRAW_EXCEPTION_IO_EOF;
+  }
+  int beyond_end_ = 0;
+};
+
 /// LibRaw opens what only its own picture is made with.
 struct Decoder : LibRaw {
   using LibRaw::is_phaseone_compressed;
@@ -37,6 +61,7 @@ int mosaic_colour(unsigned filters, int row, int column) { return static_cast<in
 struct RawSource::Impl {
   std::filesystem::path path;
   RawInfo info;
+  std::optional<EndingStream> stream;    ///< outlives what reads it
   std::unique_ptr<Decoder> raw = std::make_unique<Decoder>();  // the object is large: never on a stack
   DataErrors errors;
   const std::uint16_t* first = nullptr;  ///< upper left of the visible area
@@ -64,7 +89,8 @@ struct RawSource::Impl {
     raw->imgdata.params.max_raw_memory_mb = 1024;
 #endif
     try {
-      check(raw->open_file(path.c_str()), "not readable as camera RAW");
+      stream.emplace(path.c_str());
+      check(raw->open_datastream(&*stream), "not readable as camera RAW");
       const libraw_image_sizes_t& s = raw->imgdata.sizes;
       if (std::uint64_t{s.raw_width} * s.raw_height > (std::uint64_t{1} << 29)) fail("claims ", s.raw_width, " x ", s.raw_height, " pixels");
       if (!with_pixels) return;

@@ -85,6 +85,15 @@ TEST_F(Raw, OfAPhaseOneBackBeginsAtTheBacksBlack) {
   EXPECT_NE(error_of([&] { RawSource raw(path("short.iiq")); }).find("short.iiq: RAW: "), std::string::npos);
 }
 
+// LibRaw reads the number of a list's tags where there is nothing any more, and would go through four thousand million of them, each a read beyond the end.
+TEST_F(Raw, ThatEndsInTheListOfItsTagsIsAnErrorAndNoHang) {
+  const std::string whole = phase_one(64, 32, 2000, std::vector<std::uint16_t>(64 * 32, 3000));
+  for (const std::size_t bytes : {20u, 60u, 100u, 172u, 180u}) {
+    put_bytes(path("a.iiq"), whole.substr(0, bytes));
+    EXPECT_NE(error_of([&] { RawSource source(path("a.iiq")); }), "") << bytes;
+  }
+}
+
 TEST_F(Raw, ThatClipsBelowItsWhiteLevelIsSaturatedThere) {
   // A ramp over 400 columns whose greens end at 15520, with the scatter of a unit that sensors have there, 5 % below the white level; red and blue stay far below.
   constexpr int kWidth = 800, kHeight = 40;
