@@ -13,22 +13,14 @@
 #include "stream/base/rng.h"
 #include "stream/photo/image_io.h"
 #include "stream/photo/noise.h"
-#include "stream/photo/raster.h"
 #include "stream/photo/raw.h"
-#include "tests/stream/photo/photo_support.h"
+#include "tests/stream/photo/develop_fixture.h"
 
 namespace chiaro::stream {
 namespace {
 namespace fs = std::filesystem;
 
-class Develop : public testing::Test {
- protected:
-  DevelopResult run(const fs::path& photograph, const DevelopOptions& options) { return develop(photograph, options, raster_path(), silent_reporter()); }
-  fs::path raster_path() const { return scratch_.path() / "out.raster"; }
-  RasterReader raster() const { return RasterReader(raster_path()); }
-  fs::path path(const std::string& name) const { return scratch_.path() / name; }
-  ScratchFolder scratch_;
-};
+class Develop : public DevelopFixture {};
 
 TEST_F(Develop, LinearisesEightBitSrgbByTheCurve) {
   std::vector<std::uint8_t> values;

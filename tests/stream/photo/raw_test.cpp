@@ -8,23 +8,13 @@
 #include <initializer_list>
 #include <utility>
 
-#include "stream/photo/develop.h"
-#include "stream/photo/raster.h"
-#include "tests/stream/photo/photo_support.h"
+#include "tests/stream/photo/develop_fixture.h"
 #include "tests/support/dng.h"
 
 namespace chiaro::stream {
 namespace {
-namespace fs = std::filesystem;
 
-class Raw : public testing::Test {
- protected:
-  DevelopResult run(const fs::path& photograph, const DevelopOptions& options) { return develop(photograph, options, raster_path(), silent_reporter()); }
-  fs::path raster_path() const { return scratch_.path() / "out.raster"; }
-  RasterReader raster() const { return RasterReader(raster_path()); }
-  fs::path path(const std::string& name) const { return scratch_.path() / name; }
-  ScratchFolder scratch_;
-};
+class Raw : public DevelopFixture {};
 
 /// Values of a sensor, in raw numbers above black; one colour all over a column of cells.
 std::vector<std::uint16_t> mosaic_of_columns(int width, int height, const std::function<std::array<int, 3>(int)>& rgb_of_column) {
