@@ -4,9 +4,6 @@
 /// the sigmas explain of it, is the surface's own; the surfel's deviation from its surroundings is kept in the proportion of the two (local Wiener filter).
 /// Edges stay, because across them the surface's own variance is large and because neighbours that differ beyond their sigmas hardly count.
 ///
-/// Much noise takes more neighbours than sixteen, and makes it hard to see which of them are alike: very noisy surfels are done again, with neighbours chosen by
-/// what the first step has made of them.
-///
 /// source: Lee, "Digital image enhancement and noise filtering by use of local statistics", PAMI 1980; Tomasi and Manduchi, "Bilateral filtering", ICCV 1998.
 #pragma once
 #include <cstddef>
@@ -32,9 +29,7 @@ struct Denoised {
   float sd = 0;
 };
 
-/// Is a surfel of that deviation done twice?
-bool takes_two_steps(float sd);
-/// The first `count` surfels, from all of them within `reach` (project units). What the last ones of all are made of in a first step, may lack neighbours beyond.
+/// The first `count` surfels, from all of them within `reach` (project units).
 std::vector<Denoised> denoise(const NoisySurfels& surfels, std::size_t count, float reach);
 
 }  // namespace chiaro::blend

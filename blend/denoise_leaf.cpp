@@ -10,7 +10,7 @@
 namespace chiaro::blend {
 namespace {
 
-constexpr double kReachSpacings = 6;             // sixteen neighbours lie within 4.5 on a surface, nearly all of 48 within 6
+constexpr double kReachSpacings = 6;             // sixteen neighbours lie within 4.5 on a surface
 constexpr std::size_t kMostAround = 1u << 17;    // surfels of other leaves
 constexpr std::uint32_t kLargestLeaf = 1u << 16;
 constexpr int kMostTries = 6;
@@ -59,7 +59,7 @@ LeafDenoiser::LeafDenoiser(const stream::Store& store, float brightness, std::fu
 
 std::uint64_t LeafDenoiser::bytes_per_surfel() {
   constexpr std::uint64_t kNoisy = 3 * sizeof(Vec3f) + sizeof(float) + 1, kMost = 2 + kMostAround / kLargestLeaf;   // vectors grow by doubling
-  return kMost * (kNoisy + sizeof(Vec3f) + sizeof(float) + NearestPoints::bytes_per_point() + sizeof(Denoised)) + 3 * sizeof(BlendedSurfel) + 2 * sizeof(Accumulator);
+  return kMost * (kNoisy + NearestPoints::bytes_per_point()) + sizeof(Denoised) + 3 * sizeof(BlendedSurfel) + 2 * sizeof(Accumulator);
 }
 
 std::vector<std::uint32_t> LeafDenoiser::leaves_near(std::uint32_t chunk, const Box3d& box) const {

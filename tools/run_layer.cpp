@@ -54,7 +54,7 @@ class LayerStages {
     std::vector<blend::BlendPhotograph> photographs;
     std::vector<int> cells_px;
     blend::BlendOptions options;
-    Hasher h = keyed("blend 11");
+    Hasher h = keyed("blend 10");
     h.add(store.manifest().key);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {

@@ -49,35 +49,12 @@ Errors errors(const std::vector<Denoised>& found, int n, const std::function<flo
 
 TEST(Denoise, NoiseOnAnEvenSurfaceGoesAndSigmaKnows) {
   constexpr int kSide = 40;
-  constexpr float kNoise = 0.035f;
-  ASSERT_FALSE(takes_two_steps(kNoise));
   const auto even = [](int, int) { return -1.0f; };
-  const NoisySurfels noisy = square(kSide, kNoise, even);
+  const NoisySurfels noisy = square(kSide, 0.1f, even);
   const Errors e = errors(denoise(noisy, noisy.size(), 6), kSide, even);
-  EXPECT_LT(e.rms, 0.45 * static_cast<double>(kNoise));
+  EXPECT_LT(e.rms, 0.045);
   EXPECT_GT(e.z, 0.6);   // of independent noise a quarter is left, and so much is stated, beside what the noise by itself might hide
   EXPECT_LT(e.z, 1.1);
-}
-
-TEST(Denoise, MuchNoiseTakesMoreNeighboursAndStatesNoLess) {
-  constexpr int kSide = 40;
-  constexpr float kNoise = 0.1f;
-  ASSERT_TRUE(takes_two_steps(kNoise));
-  const auto even = [](int, int) { return -1.0f; };
-  const NoisySurfels noisy = square(kSide, kNoise, even);
-  const std::vector<Denoised> found = denoise(noisy, noisy.size(), 6);
-  const Errors e = errors(found, kSide, even);
-  EXPECT_LT(e.rms, 0.2 * static_cast<double>(kNoise));   // a seventh of independent noise
-  EXPECT_LT(e.z, 0.6);
-  for (const Denoised& d : found) ASSERT_GT(d.sd, 0.2f * kNoise);   // a quarter
-}
-
-// Stripes of two colours three deviations apart: with their noise on them, every sixth neighbour seems to be of the other one.
-TEST(Denoise, MuchNoiseDoesNotHideWhichNeighboursAreAlike) {
-  constexpr int kSide = 48, kWide = 6;
-  const auto stripes = [](int x, int) { return x / kWide % 2 ? -0.7f : -1.0f; };
-  const NoisySurfels noisy = square(kSide, 0.1f, stripes);
-  EXPECT_LT(errors(denoise(noisy, noisy.size(), 6), kSide, stripes).rms, 0.04);
 }
 
 TEST(Denoise, WhatNeighboursMayHaveWrongAlikeStaysInSigma) {
