@@ -99,7 +99,7 @@ PixelAlbedo solve_pixel(const Context& c, const PhotoBand& band, int x, int y) {
   for (std::size_t ch = 0; ch < 3; ++ch) {
     out.albedo[ch] = static_cast<float>(kPi * static_cast<double>(colour[ch]) / (exposure * h[ch]) * gloss.factor[ch]);
     // What is darker than its noise is known to be dark, and no more: a relative deviation of 1.
-    const double z = std::max(static_cast<double>(colour[ch]), 0.0), variance = c.photograph.noise.gain * z + square(c.photograph.noise.read_sigma);
+    const double z = std::max(static_cast<double>(colour[ch]), 0.0), variance = c.photograph.noise.variance(z);
     noise += variance / std::max({z * z, variance, 1e-18}) / 3;
   }
   noise *= square(gloss.noise);

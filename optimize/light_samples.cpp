@@ -160,7 +160,7 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
       if (!inside(target.polygon, {x + 0.5, y + 0.5}) || band.mask[i] != 1 || !(band.depth[i] > 0)) continue;
       colour += band.colour(i).cast<double>();
       squares += static_cast<double>(band.g[i]) * static_cast<double>(band.g[i]);
-      noise += photo.noise.gain * std::max(0.0, static_cast<double>(band.g[i])) + photo.noise.read_sigma * photo.noise.read_sigma;
+      noise += photo.noise.variance(std::max(0.0, static_cast<double>(band.g[i])));
       flash += static_cast<double>(band.flash[i]);
       spread += static_cast<double>(band.spread[i]);
       point += pixel_point(photo.camera, scene.proxy.origin_in_world, x, y, band.depth[i]);
@@ -183,7 +183,7 @@ std::optional<ReferenceReading> read_reference(const Scene& scene, const Acquisi
   s.flash = static_cast<float>(flash / count);
   s.spread = static_cast<float>(spread / count);
   const double mean = colour.mean() / count;
-  s.variance = static_cast<float>((photo.noise.gain * mean + photo.noise.read_sigma * photo.noise.read_sigma) / (mean * mean * count));
+  s.variance = static_cast<float>(photo.noise.variance(mean) / (mean * mean * count));
   const Vec3f middle = point / static_cast<float>(count), n = normal.normalized();
   reading.place = middle;
   reading.normal = n;

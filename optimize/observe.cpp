@@ -134,7 +134,7 @@ Observation observe(const Proxy& proxy, const ObserveInput& input) {
     const double flash = f.flash / f.weight;
     double variance = 0, noise_alone = 0;
     for (int c = 0; c < 3; ++c) {
-      const double noise = (input.noise.gain * mean[c] + input.noise.read_sigma * input.noise.read_sigma) * f.squares / (f.weight * f.weight);
+      const double noise = input.noise.variance(mean[c]) * f.squares / (f.weight * f.weight);
       // Scatter of the pixels stands for the image gradient: a shift of kRegistrationPx, or what the lens spreads, moves the mean by that share of it.
       const double scatter = std::max(0.0, f.colour2[c] / f.weight - mean[c] * mean[c]);
       const double shift = static_cast<double>(std::hypot(kRegistrationPx, 0.25f * p.blur_px) / reach);

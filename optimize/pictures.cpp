@@ -95,7 +95,7 @@ void colour_as_albedo(const ObserveInput& photograph, const std::filesystem::pat
       g[i] = band.g[i];
       b[i] = band.b[i];
       const double z = std::max(1e-6, static_cast<double>(band.g[i]));
-      const double variance = photograph.noise.gain * z + photograph.noise.read_sigma * photograph.noise.read_sigma;
+      const double variance = photograph.noise.variance(z);
       sigma[i] = static_cast<float>(std::sqrt(variance / (z * z) + 1e-4));   // one per cent that nothing removes
       shared[i] = 0;
     }
