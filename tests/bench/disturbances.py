@@ -227,3 +227,10 @@ ALL = {
     "defocus_unknown": (defocus_unknown, "mm of aperture, not declared", [6, 12], 0),
     "overexposed": (overexposed, "times the exposure, first photograph, clipped", [2, 4], 1),
 }
+
+NEED_ALL_SHARES = {"ambient_each", "flash_pattern"}
+
+
+def is_possible(name, scene):
+    """Whether the scene's truth has what the disturbance is made from: the shares of light in every photograph (of the first one all rendered scenes have them)."""
+    return name not in NEED_ALL_SHARES or all((scene / "truth" / (photo.stem + "_share.exr")).exists() for photo in photographs_of(scene))

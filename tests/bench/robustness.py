@@ -119,6 +119,9 @@ def main():
         add(measure(options, scene, "none", 0, None))
         base = options.out / ("%s.none.0" % scene.name)
         for name in options.only:
+            if not disturbances.is_possible(name, scene):
+                print("%s: left out for %s, whose truth lacks the shares of light in some photographs" % (name, scene.name), file=sys.stderr)
+                continue
             for level in disturbances.ALL[name][2]:
                 add(measure(options, scene, name, level, base))
         shutil.rmtree(base)
