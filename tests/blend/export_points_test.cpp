@@ -114,7 +114,7 @@ PlyFile read_ply(const std::filesystem::path& path) {
     std::vector<double> row;
     for (const std::string& p : ply.properties) {
       const std::string type = p.substr(0, p.find(' '));
-      row.push_back(type == "double" ? take<double>(at) : type == "float" ? take<float>(at) : type == "uchar" ? take<std::uint8_t>(at) : type == "ushort" ? take<std::uint16_t>(at)
+      row.push_back(type == "double" ? take<double>(at) : type == "float" ? take<float>(at) : type == "uchar" ? take<std::uint8_t>(at) : type == "ushort" ? take<std::uint16_t>(at) : type == "short" ? take<std::int16_t>(at)
                                                                                                                                        : take<std::int32_t>(at));
     }
     ply.rows.push_back(std::move(row));
@@ -476,6 +476,41 @@ TEST_F(ExportPoints, SeveralFilesFollowOneAnotherAndKeepWhatAllOfThemHave) {
       ASSERT_EQ(ply.at(row++, "quality"), static_cast<double>(p.quality));
     }
   EXPECT_EQ(row, ply.rows.size());
+}
+
+TEST_F(ExportPoints, WhatTheFirstFileLacksIsNamed) {
+  const auto other = folder.path() / "second.ply";
+  write_ply(cloud, points, false);
+  write_ply(other, input_points(2));
+  const stream::Store store = build({cloud, other});
+  write_layer(store);
+  run(store, to("albedo.ply"));
+  EXPECT_EQ(read_ply(folder.path() / "albedo.ply").properties.back(), "float quality");
+  EXPECT_NE(report.notes.find("\"scan\" is left out"), std::string::npos) << report.notes;
+}
+
+TEST_F(ExportPoints, WhatFilesHaveInSeveralTypesIsWrittenInOneThatHoldsAll) {
+  const auto write = [&](const char* name, const char* properties, const std::vector<std::string>& values) {
+    const auto file = folder.path() / name;
+    std::string text = concat("ply\nformat ascii 1.0\nelement vertex ", values.size(), "\nproperty double x\nproperty double y\nproperty double z\n", properties, "end_header\n");
+    for (std::size_t i = 0; i < values.size(); ++i) text += concat(i % 5, " ", i / 5, " 0 ", values[i], "\n");
+    write_text(file, text);
+    return file;
+  };
+  const auto first = write("first.ply", "property float quality\nproperty uchar class\nproperty ushort intensity\nproperty uint id\nproperty uchar kept\n", std::vector<std::string>(10, "0.5 200 65535 4000000000 7"));
+  const auto second = write("second.ply", "property uchar kept\nproperty double quality\nproperty char class\nproperty float intensity\nproperty short id\n", std::vector<std::string>(10, "8 1234567890.125 -100 0.25 -3"));
+  const stream::Store store = build({first, second});
+  write_layer(store);
+  run(store, to("albedo.ply"));
+  const PlyFile ply = read_ply(folder.path() / "albedo.ply");
+  const std::vector<std::string> carried(ply.properties.end() - 5, ply.properties.end());
+  EXPECT_EQ(carried, (std::vector<std::string>{"double quality", "short class", "float intensity", "double id", "uchar kept"}));   // PLY has no whole numbers of 64 bits
+  EXPECT_NE(report.notes.find("\"class\" has several types in the source files and is written as short"), std::string::npos) << report.notes;
+  EXPECT_EQ(report.notes.find("left out"), std::string::npos) << report.notes;
+  ASSERT_EQ(ply.rows.size(), 20u);
+  const auto values = [&](std::size_t row) { return std::vector<double>(ply.rows[row].end() - 5, ply.rows[row].end()); };
+  EXPECT_EQ(values(9), (std::vector<double>{0.5, 200, 65535, 4e9, 7}));
+  EXPECT_EQ(values(10), (std::vector<double>{1234567890.125, -100, 0.25, -3, 8}));
 }
 
 TEST_F(ExportPoints, AnExportIngestedAgainDoesNotRepeatItsProperties) {
