@@ -111,6 +111,28 @@ TEST_F(Layers, TwoMethodsLieBesideEachOtherAndEachIsReused) {
   EXPECT_EQ(asked, 1);
 }
 
+// An export of the same name and length may come from another layer, and may have been put there by other commands.
+TEST_F(Layers, AnExportIsThatOfItsLayer) {
+  scene({.photographs = 1});
+  const auto in_layer = [&](const std::string& name, const std::string& method) { return run("out", {"--set", "solve.method=" + method, "--set", "blend.layer=" + name}); };
+  ASSERT_EQ(in_layer("day1", "none").code, 0);
+  ASSERT_EQ(in_layer("day2", "none").code, 0);   // the same values
+  EXPECT_THAT(file_bytes(at("out/albedo.ply")).substr(0, 100), HasSubstr("layer day2"));
+  ASSERT_EQ(in_layer("dark", "direct").code, 0);
+  const std::string exported = file_bytes(at("out/albedo.ply"));
+  ASSERT_EQ(chiaro({"export", at("out").string(), "--layer", "day1", "--out", at("out/albedo.ply").string()}).code, 0);
+  ASSERT_EQ(file_bytes(at("out/albedo.ply")).size(), exported.size());
+  ASSERT_EQ(in_layer("dark", "direct").code, 0);
+  EXPECT_EQ(file_bytes(at("out/albedo.ply")), exported);
+}
+
+TEST_F(Layers, NameTheAcquisitionsThatTheyAreMadeOf) {
+  scene({.photographs = 1});
+  ASSERT_EQ(run("out", {"--set", "solve.method=none"}).code, 0);
+  ASSERT_EQ(run("out", {"--set", "solve.method=none", "--set", "acquisition.0.name=spring"}).code, 0);
+  EXPECT_THAT(chiaro({"info", at("out").string()}).out, HasSubstr("1 photograph of spring"));
+}
+
 TEST_F(Layers, APhotographIsAddedToOneThatWasKept) {
   scene();
   const std::vector<std::string> none{"--set", "solve.method=none"};
