@@ -1,6 +1,7 @@
 #include "tools/ingest.h"
 
 #include "stream/base/error.h"
+#include "stream/base/file.h"
 #include "stream/base/hash.h"
 #include "stream/cloud/filtered.h"
 #include "stream/cloud/point_stream.h"
@@ -57,7 +58,7 @@ std::string describe(const std::filesystem::path& file, const std::filesystem::p
                 " degrees, shift ", shift.x(), " ", shift.y(), " ", shift.z(), ", rms distance ", r.rms_distance, r.converged ? "" : ", NOT converged: check the scans");
 }
 
-IngestOutcome make_store(const IngestPlan& plan, const std::filesystem::path& store_path, MemoryBudget& budget, Reporter& report) {
+IngestOutcome make_store(const IngestPlan& plan, const std::filesystem::path& store_path, const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report) {
   IngestOutcome outcome;
   if (!plan.remove_outliers && !plan.align) {
     outcome.store_key = stream::build_store(plan.files, store_path, plan.options, budget, report).key;
@@ -90,7 +91,8 @@ IngestOutcome make_store(const IngestPlan& plan, const std::filesystem::path& st
   if (plan.remove_outliers) {
     stream::OutlierOptions options;
     options.memory_bytes = std::max<std::uint64_t>(memory, 16u << 20);
-    options.scratch_folder = store_path.parent_path();
+    make_folder(scratch);
+    options.scratch_folder = scratch;
     ChainReader all(plan.files.size(), input.open);
     marks = stream::mark_outliers(all, options, report);
     input.rejected = [&](std::uint64_t i) { return marks.rejected(i); };
@@ -106,8 +108,8 @@ IngestOutcome make_store(const IngestPlan& plan, const std::filesystem::path& st
 
 }  // namespace
 
-IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, MemoryBudget& budget, Reporter& report) {
-  IngestOutcome outcome = make_store(plan, store_path, budget, report);
+IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report) {
+  IngestOutcome outcome = make_store(plan, store_path, scratch, budget, report);
   const auto tell = [&](std::vector<std::string> notes) {
     for (std::string& note : notes) {
       report.note(note);

@@ -25,7 +25,7 @@ struct IngestOutcome {
   std::vector<std::string> notes;
 };
 
-/// Builds the store at `store_path`. throws Error, Cancelled.
-IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, MemoryBudget& budget, Reporter& report);
+/// Builds the store at `store_path`. scratch: folder for what is needed meanwhile; made if absent. throws Error, Cancelled.
+IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, const std::filesystem::path& scratch, MemoryBudget& budget, Reporter& report);
 
 }  // namespace chiaro::tools

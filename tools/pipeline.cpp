@@ -20,6 +20,15 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
+/// What processes that were killed have left of their ScratchFolders. Other things that lie beside them may be gone on from.
+void remove_left_behind(const std::filesystem::path& scratch) {
+  std::vector<std::filesystem::path> left;
+  std::error_code code;
+  for (std::filesystem::directory_iterator it(scratch, code), end; !code && it != end; it.increment(code))
+    if (it->path().filename().string().starts_with("chiaro-")) left.push_back(it->path());
+  for (const std::filesystem::path& folder : left) std::filesystem::remove_all(folder, code);
+}
+
 class Pipeline {
  public:
   Pipeline(const Project& project, const std::filesystem::path& out, MemoryBudget& budget, RunRecord& record, Reporter& report)
@@ -27,6 +36,7 @@ class Pipeline {
 
   void run() {
     check_flash();
+    remove_left_behind(run_.folder.scratch());
     write_text(run_.folder.project(), to_json(run_.project) + "\n");
     for (const std::string& note : run_.project.notes) run_.note_both(note);
     ingest();
@@ -67,7 +77,7 @@ class Pipeline {
     const IngestPlan plan = plan_ingest(run_.project);
     if (!run_.tasks.is_done("ingest", plan.key, {run_.folder.store()})) require_no_other_layers();
     const Json info = run_.task("ingest", plan.key, {run_.folder.store()}, [&] {
-      const IngestOutcome outcome = ingest_cloud(plan, run_.folder.store(), run_.budget, run_.report);
+      const IngestOutcome outcome = ingest_cloud(plan, run_.folder.store(), run_.folder.scratch(), run_.budget, run_.report);
       return Json{{"store_key", outcome.store_key}, {"notes", outcome.notes}};
     });
     for (const auto& n : info.value("notes", Json::array())) run_.record.note(n.get<std::string>());

@@ -263,6 +263,17 @@ TEST_F(Run, NotesOnLightsNamePhotographsAsTheyAreCalledNow) {
   EXPECT_THAT(ran.err, testing::Not(HasSubstr("photo_00")));
 }
 
+TEST_F(Run, RemovesWhatKilledRunsNeededMeanwhile) {
+  scene({.photographs = 1});
+  fs::create_directories(at("out/work/scratch/chiaro-Ab12Cd"));
+  put_bytes(at("out/work/scratch/chiaro-Ab12Cd/means"), "x");
+  put_bytes(at("out/work/scratch/blend.journal"), "x");
+  put_bytes(at("scene/sparse/cameras.txt"), "1 NOTHING\n");
+  EXPECT_EQ(run("out").code, 1);
+  EXPECT_FALSE(fs::exists(at("out/work/scratch/chiaro-Ab12Cd")));
+  EXPECT_TRUE(fs::exists(at("out/work/scratch/blend.journal")));   // a later run may go on from it
+}
+
 // What a process holds at its start is never the same twice; here it is made to differ by the words of its environment.
 TEST_F(Run, ReusesWhatIsDoneWhateverTheProcessHoldsAtItsStart) {
   scene();
