@@ -29,6 +29,9 @@ std::string plain_name(const std::string& name) {
   return plain.empty() ? "unnamed" : plain;
 }
 
+/// As far as doubles of that size, and numbers that were written in decimal, say it.
+bool is_whole(double steps) { return std::abs(steps - std::round(steps)) <= std::max(1e-6, 0x1p-50 * std::abs(steps)); }
+
 bool is_unsigned(ScalarType type) { return stream::with_type(type, [](auto zero) { return std::is_unsigned_v<decltype(zero)>; }); }
 
 /// Of the floating point types that hold all values of an integer, the shorter one.
@@ -70,6 +73,20 @@ std::optional<double> SourceFiles::position_step() const {
   }
   if (!(step > 0) || !std::isfinite(step)) return std::nullopt;
   return step;
+}
+
+std::optional<stream::PositionGrid> SourceFiles::position_grid() const {
+  const std::optional<double> step = position_step();
+  if (!step) return std::nullopt;
+  const stream::PositionGrid& first = *schemas_.front().grid;
+  bool are_multiples = true;
+  for (int axis = 0; axis < 3; ++axis) {
+    const double scale = std::abs(first.scale[axis]);
+    for (const stream::PointSchema& schema : schemas_)
+      if (std::abs(schema.grid->scale[axis]) != scale || !is_whole((schema.grid->add[axis] - first.add[axis]) / scale)) return std::nullopt;
+    are_multiples = are_multiples && is_whole(scale / *step) && is_whole(first.add[axis] / *step);
+  }
+  return are_multiples ? std::nullopt : std::optional(first);
 }
 
 std::string SourceFiles::coordinate_system() const {

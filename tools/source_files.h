@@ -29,6 +29,8 @@ class SourceFiles {
   bool position_is_double() const { return position_is_double_; }
   /// The coarsest step on which the positions of all files lie, where they are stored as whole numbers (LAS).
   std::optional<double> position_step() const;
+  /// What the positions of all files lie on, where multiples of that step are something else: other steps for other axes, an offset between two multiples.
+  std::optional<stream::PositionGrid> position_grid() const;
   /// WKT of the coordinate system that all files name; empty where they do not.
   std::string coordinate_system() const;
   /// As they are written: a name that not every format can hold is changed, and a note says so.

@@ -779,6 +779,37 @@ TEST_F(ExportPoints, LasKeepsTheStepOfALasFileAndTheDigitsOfOthers) {
   EXPECT_EQ(scale_of(options.file), 0.002);
 }
 
+// As CloudCompare and PDAL write it: the offset is the lowest coordinate, whatever that is. Feet in metres, and another step for heights.
+TEST_F(ExportPoints, LasKeepsThePositionsOfALasFileWithAnyOffset) {
+  const auto write = [&](const char* name, const stream::PositionGrid& grid, std::int64_t shift) {
+    stream::PointWriterOptions las;
+    las.num_points = 300;
+    las.properties = {{"x", stream::ScalarType::kF64}, {"y", stream::ScalarType::kF64}, {"z", stream::ScalarType::kF64}};
+    las.grid = grid;
+    std::string rows;
+    for (std::int64_t i = 0; i < 300; ++i) {
+      const Vec3d p = grid.position({shift + 7 * (i % 20), 11 * (i / 20) - shift, i % 3});
+      las.bounds.extend(p);
+      for (const double v : p) append(rows, v);
+    }
+    const auto writer = stream::create_points(folder.path() / name, las);
+    writer->write(reinterpret_cast<const std::byte*>(rows.data()), 300);
+    writer->commit();
+    return folder.path() / name;
+  };
+  const stream::PositionGrid grid{{0.0003048, 0.0003048, 0.001}, {431234.56789, 5212345.67891, 100.0005}};
+  const auto one = write("one.las", grid, 0), two = write("two.las", grid, 5000);
+  ExportOptions options = to("kept.las");
+  options.layer.clear();
+  run(build({one, two}), options);
+  const WholeCloud kept = read_cloud(options.file);
+  ASSERT_EQ(kept.points.size(), 600u);
+  constexpr double kRounding = 4e-9;   // of doubles of five million metres
+  std::size_t at = 0;
+  for (const auto& file : {one, two})
+    for (const Vec3d& p : read_cloud(file).points.position) ASSERT_LE((kept.points.position[at++] - p).cwiseAbs().maxCoeff(), kRounding) << at;
+}
+
 TEST_F(ExportPoints, LazComesOutAsLasWithAllThatItCarried) {
   if (!CHIARO_HAS_RUST_FORMATS) GTEST_SKIP() << "built without cargo";
   for (const char* name : {"variable_chunks.laz", "format_7.laz", "format_8.laz", "format_3.laz"}) {
