@@ -70,6 +70,7 @@ class LayerStages {
     layer_key_ = h.hex();
     const std::string layer = run_.project.blend.layer;
     prepare_kept(layer);
+    if (another_lies_there(store)) run_.tasks.forget(RunFolder::blend_task(layer));
     options.layer = layer;
     options.bands = run_.project.blend.bands;
     options.reject = run_.project.blend.reject;
@@ -151,6 +152,16 @@ class LayerStages {
     if (!std::filesystem::is_regular_file(file, code)) return;
     const Json then = Json::parse(run_.tasks.info(task), nullptr, false);
     if (then.value("hash", std::string()) != file_fingerprint(file)) run_.tasks.forget(task);
+  }
+
+  /// Layers are folders: one may have been moved or copied to the name of another.
+  bool another_lies_there(const stream::Store& store) const {
+    try {
+      const Json provenance = Json::parse(stream::Layer(store, run_.project.blend.layer).provenance_json(), nullptr, false);
+      return !provenance.is_object() || provenance.value("key", std::string()) != layer_key_;
+    } catch (const Error&) {
+      return false;   // none, or damaged: named when it is read
+    }
   }
 
   /// A layer that was made without its sums is made again with them, where they are wanted; where they are not, they go.

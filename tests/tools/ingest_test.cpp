@@ -51,7 +51,7 @@ TEST(Ingest, WhatIsNeededMeanwhileLiesInTheScratchFolder) {
   make_folder(results);
   LookingReporter report(results, scratch);
   MemoryBudget budget(std::uint64_t{1} << 28);
-  ingest_cloud(plan_ingest(project), results / "store.chiaro", scratch, budget, report);
+  ingest_cloud(plan_ingest(project), results / "store.chiaro", scratch, [] {}, budget, report);
   EXPECT_THAT(report.beside_results, testing::ElementsAre("work"));
   EXPECT_EQ(report.in_scratch.size(), 1u);
   EXPECT_THAT(names_in(scratch), testing::IsEmpty());
