@@ -14,6 +14,7 @@
 #include "tools/resources.h"
 #include "tools/cloud_units.h"
 #include "tools/rounded_positions.h"
+#include "tools/store_results.h"
 #include "tools/table.h"
 
 namespace chiaro::tools {
@@ -95,6 +96,7 @@ int run_ingest(std::span<const std::string> args, Console& console) {
   options.normals = normal_source(normals);
   const bool reused = is_up_to_date(out, files, options);
   if (reused) remove_leftovers(out + ".part", out);
+  else require_no_results(out);
   MemoryBudget budget(budget_bytes(memory_bytes));
   const stream::Manifest manifest = reused ? stream::Store(out).manifest() : stream::build_store(files, out, options, budget, console.report());
   for (const std::string& note : notes_on_rounded_positions(stream::Store(out), files, budget.free_bytes() / 2)) console.report().note(note);

@@ -51,6 +51,7 @@ class FileColours final : public ColourSource {
           is_double_[c] = property.type == stream::ScalarType::kF64;
         }
       if (property.name == "inserted" && property.type == stream::ScalarType::kU8) inserted_ = offset;
+      if (property.name == "photos" && property.type == stream::ScalarType::kU16) photos_ = offset;
       offset += stream::scalar_bytes(property.type);
     }
     row_bytes_ = offset;
@@ -77,8 +78,16 @@ class FileColours final : public ColourSource {
     block.position.push_back(points_.position[i]);
     if (!points_.colour.empty()) block.colour.push_back(srgb_table()(points_.colour[i]));
     if (!has_albedo()) return;
-    Vec3f& albedo = block.albedo.emplace_back();
+    Vec3f& albedo = block.albedo.emplace_back(Vec3f::Constant(std::numeric_limits<float>::quiet_NaN()));
+    if (is_filled(i)) return;
     for (std::size_t c = 0; c < 3; ++c) albedo[static_cast<Eigen::Index>(c)] = scalar(points_.extras.data() + i * row_bytes_ + offsets_[c], is_double_[c]);
+  }
+  /// No photograph shows it: what an export has there is of its neighbours (`--fill`), and no result.
+  bool is_filled(std::size_t i) const {
+    if (photos_ == kNone) return false;
+    std::uint16_t photos = 0;
+    std::memcpy(&photos, points_.extras.data() + i * row_bytes_ + photos_, sizeof photos);
+    return photos == 0;
   }
   static float scalar(const std::byte* at, bool is_double) {
     if (is_double) {
@@ -95,6 +104,7 @@ class FileColours final : public ColourSource {
   std::array<std::size_t, 3> offsets_{kNone, kNone, kNone};
   std::array<bool, 3> is_double_{};
   std::size_t inserted_ = kNone;   ///< of points that a run has added (blend.refine): they are left out
+  std::size_t photos_ = kNone;
   std::size_t row_bytes_ = 0;
 };
 

@@ -11,13 +11,14 @@
 
 namespace chiaro::tools {
 namespace {
-volatile std::sig_atomic_t stop_flag = 0;
+volatile std::sig_atomic_t stop_flag = 0, hangup_stops = 0;
 
 extern "C" void on_stop_signal(int) {
   stop_flag = 1;
-  // The next one, of either kind, ends the process the usual way.
+  // The next one, of any kind, ends the process the usual way.
   std::signal(SIGINT, SIG_DFL);
   std::signal(SIGTERM, SIG_DFL);
+  if (hangup_stops) std::signal(SIGHUP, SIG_DFL);
 }
 
 double steady_seconds() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
@@ -42,6 +43,9 @@ void install_stop_signals() {
   sigemptyset(&action.sa_mask);
   sigaction(SIGINT, &action, nullptr);
   sigaction(SIGTERM, &action, nullptr);
+  struct sigaction before = {};
+  hangup_stops = sigaction(SIGHUP, nullptr, &before) == 0 && before.sa_handler == SIG_DFL;   // under nohup it is ignored, and stays so
+  if (hangup_stops) sigaction(SIGHUP, &action, nullptr);
 }
 
 bool stop_requested() { return stop_flag != 0; }

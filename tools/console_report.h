@@ -14,7 +14,7 @@
 
 namespace chiaro::tools {
 
-/// The first SIGINT or SIGTERM only raises a flag, so that work stops cleanly between two items; the second one ends the process at once.
+/// The first SIGINT, SIGTERM or SIGHUP (a terminal that is closed; where that is ignored, as under nohup, it stays so) only raises a flag, so that work stops cleanly between two items; the second one ends the process at once.
 void install_stop_signals();
 /// True once a stop signal came.
 bool stop_requested();

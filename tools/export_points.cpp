@@ -164,7 +164,10 @@ class Exporter {
     writer_options.num_points = manifest.points_stored + stats_.points_inserted;
     writer_options.properties = rows_->properties();
     writer_options.bounds = grown_bounds(manifest);
-    if (sources_ && !inserted_) writer_options.resolution = sources_->position_step();
+    if (sources_ && !inserted_) {
+      writer_options.resolution = sources_->position_step();
+      writer_options.grid = sources_->position_grid();
+    }
     if (sources_) writer_options.coordinate_system = sources_->coordinate_system();
     if (inserted_) {
       const Box3d more = grown_bounds(inserted_->store->manifest());

@@ -1,9 +1,11 @@
 #include "tools/ingest.h"
 
 #include "stream/base/error.h"
+#include "stream/base/file.h"
 #include "stream/base/hash.h"
 #include "stream/cloud/filtered.h"
 #include "stream/cloud/point_stream.h"
+#include "stream/store/store.h"
 #include "tools/cloud_units.h"
 #include "tools/rounded_positions.h"
 
@@ -57,10 +59,22 @@ std::string describe(const std::filesystem::path& file, const std::filesystem::p
                 " degrees, shift ", shift.x(), " ", shift.y(), " ", shift.z(), ", rms distance ", r.rms_distance, r.converged ? "" : ", NOT converged: check the scans");
 }
 
-IngestOutcome make_store(const IngestPlan& plan, const std::filesystem::path& store_path, MemoryBudget& budget, Reporter& report) {
+bool is_made_of(const std::filesystem::path& store_path, const std::string& key) {
+  try {
+    return stream::Store(store_path).manifest().key == key;
+  } catch (const Error&) {
+    return false;   // none, a damaged one, or one of another version
+  }
+}
+
+IngestOutcome make_store(const IngestPlan& plan, const std::filesystem::path& store_path, const std::filesystem::path& scratch, const std::function<void()>& before_building, MemoryBudget& budget,
+                         Reporter& report) {
   IngestOutcome outcome;
   if (!plan.remove_outliers && !plan.align) {
-    outcome.store_key = stream::build_store(plan.files, store_path, plan.options, budget, report).key;
+    outcome.store_key = stream::build_key(plan.files, plan.options);
+    if (is_made_of(store_path, outcome.store_key)) return outcome;
+    before_building();
+    stream::build_store(plan.files, store_path, plan.options, budget, report);
     return outcome;
   }
   const std::uint64_t memory = budget.free_bytes() / 2;
@@ -87,27 +101,32 @@ IngestOutcome make_store(const IngestPlan& plan, const std::filesystem::path& st
     return i > 0 && plan.align ? stream::transformed(std::move(reader), placed[i]) : std::move(reader);
   };
   stream::OutlierMarks marks;
+  stream::OutlierOptions options;
+  if (plan.remove_outliers) input.filter_key = concat("statistical ", options.neighbours, " ", options.multiplier);
+  outcome.store_key = stream::build_key(input, plan.options);
+  if (is_made_of(store_path, outcome.store_key)) return outcome;
+  before_building();
   if (plan.remove_outliers) {
-    stream::OutlierOptions options;
     options.memory_bytes = std::max<std::uint64_t>(memory, 16u << 20);
-    options.scratch_folder = store_path.parent_path();
+    make_folder(scratch);
+    options.scratch_folder = scratch;
     ChainReader all(plan.files.size(), input.open);
     marks = stream::mark_outliers(all, options, report);
     input.rejected = [&](std::uint64_t i) { return marks.rejected(i); };
     input.rejected_reason = stream::OutlierMarks::kReason;
-    input.filter_key = concat("statistical ", options.neighbours, " ", options.multiplier);
     outcome.notes.push_back(concat(marks.num_rejected, " of ", marks.num_points, " points are statistical outliers (mean distance to ", options.neighbours, " neighbours above ",
                                    marks.threshold, ") and were left out"));
     report.note(outcome.notes.back());
   }
-  outcome.store_key = stream::build_store_from(input, store_path, plan.options, budget, report).key;
+  stream::build_store_from(input, store_path, plan.options, budget, report);
   return outcome;
 }
 
 }  // namespace
 
-IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, MemoryBudget& budget, Reporter& report) {
-  IngestOutcome outcome = make_store(plan, store_path, budget, report);
+IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, const std::filesystem::path& scratch, const std::function<void()>& before_building, MemoryBudget& budget,
+                           Reporter& report) {
+  IngestOutcome outcome = make_store(plan, store_path, scratch, before_building, budget, report);
   const auto tell = [&](std::vector<std::string> notes) {
     for (std::string& note : notes) {
       report.note(note);

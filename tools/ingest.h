@@ -1,6 +1,7 @@
 /// From the project's cloud files to the store: which files, how their points are filtered and placed, and the key of it all.
 #pragma once
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -25,7 +26,9 @@ struct IngestOutcome {
   std::vector<std::string> notes;
 };
 
-/// Builds the store at `store_path`. throws Error, Cancelled.
-IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, MemoryBudget& budget, Reporter& report);
+/// Builds the store at `store_path`, unless the one that lies there is made of the same. scratch: folder for what is needed meanwhile; made if absent.
+/// before_building: may throw; called before a store that is there is replaced. throws Error, Cancelled.
+IngestOutcome ingest_cloud(const IngestPlan& plan, const std::filesystem::path& store_path, const std::filesystem::path& scratch, const std::function<void()>& before_building, MemoryBudget& budget,
+                           Reporter& report);
 
 }  // namespace chiaro::tools

@@ -37,8 +37,9 @@ int terminal_columns() {
 }  // namespace
 
 int main(int argc, char** argv) {
-  // A closed pipe shows up as a failed write with a message instead of a silent death.
+  // A closed pipe, and a limit on the size of files, show up as a failed write with a message instead of a silent death.
   std::signal(SIGPIPE, SIG_IGN);
+  std::signal(SIGXFSZ, SIG_IGN);
   chiaro::tools::install_stop_signals();
   chiaro::tools::Console console(std::cout, std::cerr, isatty(STDERR_FILENO) == 1, terminal_columns());
   const std::vector<std::string> args(argv + (argc > 0 ? 1 : 0), argv + argc);

@@ -6,7 +6,6 @@
 #include "stream/base/file.h"
 #include "stream/base/hash.h"
 #include "stream/cloud/filtered.h"
-#include "stream/store/layer.h"
 #include "stream/store/octree_build.h"
 #include "tools/ingest.h"
 #include "tools/run_context_json.h"
@@ -14,11 +13,21 @@
 #include "tools/run_lights.h"
 #include "tools/run_photographs.h"
 #include "tools/run_solve.h"
+#include "tools/store_results.h"
 
 namespace chiaro::tools {
 namespace {
 
 using Json = nlohmann::ordered_json;
+
+/// What processes that were killed have left of their ScratchFolders. Other things that lie beside them may be gone on from.
+void remove_left_behind(const std::filesystem::path& scratch) {
+  std::vector<std::filesystem::path> left;
+  std::error_code code;
+  for (std::filesystem::directory_iterator it(scratch, code), end; !code && it != end; it.increment(code))
+    if (it->path().filename().string().starts_with("chiaro-")) left.push_back(it->path());
+  for (const std::filesystem::path& folder : left) std::filesystem::remove_all(folder, code);
+}
 
 class Pipeline {
  public:
@@ -27,6 +36,7 @@ class Pipeline {
 
   void run() {
     check_flash();
+    remove_left_behind(run_.folder.scratch());
     write_text(run_.folder.project(), to_json(run_.project) + "\n");
     for (const std::string& note : run_.project.notes) run_.note_both(note);
     ingest();
@@ -65,27 +75,23 @@ class Pipeline {
 
   void ingest() {
     const IngestPlan plan = plan_ingest(run_.project);
-    if (!run_.tasks.is_done("ingest", plan.key, {run_.folder.store()})) require_no_other_layers();
+    if (another_store_is_there()) run_.tasks.forget("ingest");
     const Json info = run_.task("ingest", plan.key, {run_.folder.store()}, [&] {
-      const IngestOutcome outcome = ingest_cloud(plan, run_.folder.store(), run_.budget, run_.report);
+      const IngestOutcome outcome = ingest_cloud(plan, run_.folder.store(), run_.folder.scratch(), [&] { require_no_results(run_.folder.store(), run_.project.blend.layer); }, run_.budget, run_.report);
       return Json{{"store_key", outcome.store_key}, {"notes", outcome.notes}};
     });
     for (const auto& n : info.value("notes", Json::array())) run_.record.note(n.get<std::string>());
     for (const auto& file : run_.project.cloud.files) run_.record.input(file, file_fingerprint(file));
   }
 
-  /// A store that is made anew takes its layers with it. Those that this run does not write would be gone for good.
-  void require_no_other_layers() const {
-    std::string others;
+  /// `chiaro ingest` may have put one there, or a user a copy. One that cannot be read is named when it is opened.
+  bool another_store_is_there() const {
+    const Json then = Json::parse(run_.tasks.info("ingest"), nullptr, false);
     try {
-      for (const std::string& name : stream::layer_names(stream::Store(run_.folder.store())))
-        if (name != "input" && name != run_.project.blend.layer) others += concat(others.empty() ? "" : ", ", name);
+      return stream::Store(run_.folder.store()).manifest().key != then.value("store_key", std::string());
     } catch (const Error&) {
-      return;   // no store yet, or none that could be read
+      return false;
     }
-    if (!others.empty())
-      throw Error(concat(run_.folder.store().string(), ": the cloud, or how it is read, is not what this store was made from, and its layers would be lost: ", others,
-                         ". Choose another --out, or remove them from its folder layers"));
   }
 
   void count_points(const stream::Store& store) {

@@ -30,9 +30,27 @@ void read_left_out(ReportData& data) {
 
 double pair_value(const Json& pair, std::size_t i) { return pair.is_array() && pair.size() == 2 ? number_of(pair[i]) : NAN; }
 
-std::string scale_sentence(const Json& light, const Json& acquisition, const std::string& method) {
-  const auto references = count_of(member(acquisition, "references"));
-  const Json& range = member(acquisition, "calibrated_range");
+/// The acquisition that the lights of `acquisition` were solved with, mostly itself: what is known of its flash is known of both.
+const Json& lead_of(const Json& acquisition, const Json& all) {
+  const std::string name = text_of(member(acquisition, "lights_of"));
+  for (const Json& other : all)
+    if (!name.empty() && text_of(member(other, "acquisition")) == name) return other;
+  return acquisition;
+}
+
+std::uint64_t references_of(const Json& lead, const Json& all) {
+  std::uint64_t references = 0;
+  for (const Json& other : all)
+    if (&lead_of(other, all) == &lead) references += count_of(member(other, "references"));
+  return references;
+}
+
+/// Empty where no light was solved: photographs without flash measure that of another acquisition.
+std::string scale_sentence(const Json& light, const Json& acquisition, const Json& all, const std::string& method) {
+  const Json& lead = lead_of(acquisition, all);
+  if (&lead != &acquisition && !member(light, "absolute_scale").is_string()) return "";
+  const auto references = references_of(lead, all);
+  const Json& range = member(lead, "calibrated_range");
   if (method == "direct")
     return concat("The absolute scale is that of the middle of the calibrated flash range; neither ambient light nor bounces were taken off, so shaded parts come out too bright.");
   if (text_of(member(light, "absolute_scale")) != "calibrated")
@@ -58,12 +76,12 @@ std::string open_direction_sentence(const Json& open) {
   return sentence + ".";
 }
 
-ReportedLight read_light(const Json& light, const Json& acquisition, const std::string& method) {
+ReportedLight read_light(const Json& light, const Json& acquisition, const Json& all, const std::string& method) {
   ReportedLight out;
   out.acquisition = text_of(member(acquisition, "acquisition"));
   out.photograph = text_of(member(light, "photograph"));
   out.how = text_of(member(acquisition, "how"));
-  out.scale = scale_sentence(light, acquisition, method);
+  out.scale = scale_sentence(light, acquisition, all, method);
   out.flash = number_of(member(light, "flash_intensity"));
   out.flash_sd = number_of(member(light, "flash_intensity_sd"));
   out.ambient = number_of(member(light, "ambient"));
@@ -72,7 +90,7 @@ ReportedLight read_light(const Json& light, const Json& acquisition, const std::
   const Json& allowed = member(member(light, "allowed"), "flash_intensity");
   out.allowed_min = pair_value(allowed, 0);
   out.allowed_max = pair_value(allowed, 1);
-  const Json& range = member(acquisition, "calibrated_range");
+  const Json& range = member(lead_of(acquisition, all), "calibrated_range");
   out.calibrated_min = pair_value(range, 0);
   out.calibrated_max = pair_value(range, 1);
   out.open_direction = open_direction_sentence(member(light, "open_direction"));
@@ -83,13 +101,14 @@ ReportedLight read_light(const Json& light, const Json& acquisition, const std::
 void read_lights(ReportData& data) {
   const std::string method = data.status.method;
   data.solved_lights = method != "none";
-  for (const Json& a : member(data.lights, "acquisitions")) {
+  const Json& all = member(data.lights, "acquisitions");
+  for (const Json& a : all) {
     if (!data.solved_lights) continue;
     const Json& each = member(a, "photographs");
     if (!each.is_array())
-      data.found.push_back(read_light(a, a, method));
+      data.found.push_back(read_light(a, a, all, method));
     else
-      for (const Json& one : each) data.found.push_back(read_light(one, a, method));
+      for (const Json& one : each) data.found.push_back(read_light(one, a, all, method));
   }
 }
 
@@ -235,7 +254,7 @@ std::vector<std::string> ReportData::scale_sentences() const {
   if (!solved_lights) return {"No light was taken off (solve.method = \"none\"): the colours are those of the photographs, not albedo."};
   std::vector<std::string> sentences;
   for (const ReportedLight& light : found)
-    if (std::find(sentences.begin(), sentences.end(), light.scale) == sentences.end()) sentences.push_back(light.scale);
+    if (!light.scale.empty() && std::find(sentences.begin(), sentences.end(), light.scale) == sentences.end()) sentences.push_back(light.scale);
   return sentences;
 }
 

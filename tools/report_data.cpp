@@ -63,7 +63,7 @@ Json report_json(const ReportData& d) {
     out["lights"].push_back({{"acquisition", l.acquisition}, {"photograph", l.photograph.empty() ? Json(nullptr) : Json(l.photograph)}, {"how", l.how},
                              {"flash_intensity", json_or_null(l.flash)}, {"flash_intensity_sd", json_or_null(l.flash_sd)}, {"ambient", json_or_null(l.ambient)},
                              {"ambient_sd", json_or_null(l.ambient_sd)}, {"bounce", json_or_null(l.bounce)}, {"allowed", {json_or_null(l.allowed_min), json_or_null(l.allowed_max)}},
-                             {"calibrated", {json_or_null(l.calibrated_min), json_or_null(l.calibrated_max)}}, {"absolute_scale", l.scale}});
+                             {"calibrated", {json_or_null(l.calibrated_min), json_or_null(l.calibrated_max)}}, {"absolute_scale", l.scale.empty() ? Json(nullptr) : Json(l.scale)}});
   out["left_out"] = Json::array();
   for (const LeftOut& one : d.left_out) out["left_out"].push_back({{"kind", one.kind}, {"name", one.name}, {"reason", one.reason}, {"amount", one.amount}});
   out["photographs"] = Json::array();

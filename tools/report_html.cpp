@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <map>
 
@@ -25,9 +26,11 @@ void tiles(Page& page, const ReportData& d) {
   tile(page, percent(d.coverage()), concat("of the points were seen and have ", d.solved_lights ? "an albedo" : "a colour"));
   tile(page, counted(d.count("points_unseen")), "points no photograph saw well");
   tile(page, concat(d.photographs.size(), " of ", d.photographs.size() + d.photographs_left_out()), "photographs used");
-  if (d.solved_lights && d.found.size() == 1) {
-    tile(page, with_sd(d.found[0].flash, d.found[0].flash_sd), "flash, W/sr");
-    tile(page, with_sd(d.found[0].ambient, d.found[0].ambient_sd), "ambient radiance");
+  const auto is_found = [](const ReportedLight& l) { return std::isfinite(l.flash); };   // photographs without flash measure that of others
+  if (d.solved_lights && std::count_if(d.found.begin(), d.found.end(), is_found) == 1) {
+    const ReportedLight& light = *std::find_if(d.found.begin(), d.found.end(), is_found);
+    tile(page, with_sd(light.flash, light.flash_sd), "flash, W/sr");
+    tile(page, with_sd(light.ambient, light.ambient_sd), "ambient radiance");
   }
   tile(page, percent(median_over(d, &PhotoMeasures::median_sigma)), concat("typical uncertainty of one photograph's ", what));
   tile(page, number(median_over(d, &PhotoMeasures::psnr_srgb)) + (std::isfinite(median_over(d, &PhotoMeasures::psnr_srgb)) ? "\u00a0dB" : ""), "prediction against photograph (PSNR, sRGB), median");

@@ -8,6 +8,7 @@
 #include "optimize/pictures.h"
 #include "stream/base/error.h"
 #include "stream/base/file.h"
+#include "stream/base/hash.h"
 #include "stream/store/layer.h"
 #include "tools/blend_record.h"
 #include "tools/camera_record.h"
@@ -69,13 +70,14 @@ class LayerStages {
     layer_key_ = h.hex();
     const std::string layer = run_.project.blend.layer;
     prepare_kept(layer);
+    if (another_lies_there(store)) run_.tasks.forget(RunFolder::blend_task(layer));
     options.layer = layer;
     options.bands = run_.project.blend.bands;
     options.reject = run_.project.blend.reject;
     options.align = run_.project.blend.align;
     options.denoise = denoises();
     options.gain = blend_gain(run_.project.blend.gain);
-    const Json info = run_.task(RunFolder::blend_task(layer), layer_key_, {run_.folder.store() / "layers" / layer}, [&] {
+    const Json info = run_.task(RunFolder::blend_task(layer), task_key(), {run_.folder.store() / "layers" / layer}, [&] {
       if (run_.project.blend.keep) options.keep = run_.folder.kept(layer);
       options.provenance_json = Json{{"method", name_of(run_.project.method)}, {"key", layer_key_}, {"photographs", photographs.size()}, {"acquisitions", acquisitions()}}.dump();
       make_folder(run_.folder.scratch());
@@ -114,10 +116,12 @@ class LayerStages {
 
   void export_layer(const stream::Store& store, const ExportInput& e) {
     const std::filesystem::path file = run_.folder.root / e.file;
-    Hasher h = keyed("export");
-    h.add(layer_key_).add(e.file).add(std::uint64_t{e.fill});
+    const std::string task = "export/" + e.file;
+    Hasher h = keyed("export 2");
+    h.add(run_.project.blend.layer).add(layer_key_).add(e.file).add(std::uint64_t{e.fill});
     if (!inserted_key_.empty()) h.add(inserted_key_);
-    const Json info = run_.task("export/" + e.file, h.hex(), {file}, [&] {
+    forget_if_replaced(task, file);
+    const Json info = run_.task(task, h.hex(), {file}, [&] {
       ExportOptions options;
       options.file = file;
       options.layer = run_.project.blend.layer;
@@ -125,7 +129,7 @@ class LayerStages {
       options.sources = run_.project.cloud.files;   // the folder may have moved since the store was made
       make_folder(run_.folder.scratch());
       const ExportStats s = export_points(store, options, run_.folder.scratch(), run_.budget, run_.report);
-      return Json{{"points", s.points}, {"points_unseen", s.points_unseen}, {"points_filled", s.points_filled}, {"points_inserted", s.points_inserted}, {"positions_from_store", s.positions_from_store}};
+      return Json{{"points", s.points}, {"points_unseen", s.points_unseen}, {"points_filled", s.points_filled}, {"points_inserted", s.points_inserted}, {"positions_from_store", s.positions_from_store}, {"hash", file_fingerprint(file)}};
     });
     if (&e == &run_.project.exports.front()) run_.record.count("points_out", info["points"]);   // of several exports each holds all of them
   }
@@ -133,6 +137,32 @@ class LayerStages {
  private:
   /// The other methods are there to be compared with, as they are; their sigma is no measure of what is noise.
   bool denoises() const { return run_.project.blend.denoise && (run_.project.method == SolveMethod::kJoint || run_.project.method == SolveMethod::kSingle); }
+
+  /// The layer's record names the acquisitions, on which no value of it depends.
+  std::string task_key() const {
+    Hasher h;
+    h.add(layer_key_);
+    for (const std::string& name : acquisitions()) h.add(name);
+    return h.hex();
+  }
+
+  /// An export lies where users write: another layer or another program's copy of it may have taken its place, at the same length.
+  void forget_if_replaced(const std::string& task, const std::filesystem::path& file) const {
+    std::error_code code;
+    if (!std::filesystem::is_regular_file(file, code)) return;
+    const Json then = Json::parse(run_.tasks.info(task), nullptr, false);
+    if (then.value("hash", std::string()) != file_fingerprint(file)) run_.tasks.forget(task);
+  }
+
+  /// Layers are folders: one may have been moved or copied to the name of another.
+  bool another_lies_there(const stream::Store& store) const {
+    try {
+      const Json provenance = Json::parse(stream::Layer(store, run_.project.blend.layer).provenance_json(), nullptr, false);
+      return !provenance.is_object() || provenance.value("key", std::string()) != layer_key_;
+    } catch (const Error&) {
+      return false;   // none, or damaged: named when it is read
+    }
+  }
 
   /// A layer that was made without its sums is made again with them, where they are wanted; where they are not, they go.
   void prepare_kept(const std::string& layer) const {

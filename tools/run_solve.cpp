@@ -121,6 +121,14 @@ void add_light_inputs(Hasher& h, const optimize::AcquisitionInput& input, const 
   }
 }
 
+/// What is noted of the lights names photographs, on whose names nothing else depends.
+std::string with_names(const std::string& key, const std::vector<std::string>& names) {
+  Hasher h;
+  h.add(key);
+  for (const std::string& name : names) h.add(name);
+  return h.hex();
+}
+
 void note_own_lights(RunContext& run, const std::string& acquisition, const std::vector<std::string>& names, const optimize::AcquisitionResult& lights) {
   const auto note_spread = [&](double spread, const char* what, const char* as_of) {
     if (spread > 0) run.note_both(concat("acquisition \"", acquisition, "\": ", what, " of its photographs varies by ", format_number(100 * spread, 2), " % (standard deviation), as ", as_of, "; corrected"));
@@ -172,7 +180,7 @@ void solve_lights(RunContext& run, const stream::Store& store, std::vector<Shoot
   add_light_inputs(h, input, options, run.project.metres_per_unit);
   shoot.light_key = h.hex();
   std::vector<std::filesystem::path> outputs{optimize::proxy_albedo_path(folder)};
-  const Json info = run.task("light/" + a.name, shoot.light_key, outputs, [&] {
+  const Json info = run.task("light/" + a.name, with_names(shoot.light_key, input.names), outputs, [&] {
     const optimize::Scene scene = optimize::load_scene(store, folder);
     return light_json(optimize::solve_acquisition(store, scene, input, options, folder, run.budget, run.report));
   });

@@ -3,10 +3,13 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <set>
+#include <type_traits>
 #include <utility>
 
 #include "stream/base/error.h"
 #include "stream/base/hash.h"
+#include "stream/cloud/scalars.h"
 
 namespace chiaro::tools {
 
@@ -26,11 +29,27 @@ std::string plain_name(const std::string& name) {
   return plain.empty() ? "unnamed" : plain;
 }
 
-template <class T>
-double load_as_double(const std::byte* at) {
-  T value;
-  std::memcpy(&value, at, sizeof value);
-  return static_cast<double>(value);
+/// As far as doubles of that size, and numbers that were written in decimal, say it.
+bool is_whole(double steps) { return std::abs(steps - std::round(steps)) <= std::max(1e-6, 0x1p-50 * std::abs(steps)); }
+
+bool is_unsigned(ScalarType type) { return stream::with_type(type, [](auto zero) { return std::is_unsigned_v<decltype(zero)>; }); }
+
+/// Of the floating point types that hold all values of an integer, the shorter one.
+ScalarType float_for(ScalarType type) {
+  constexpr std::size_t kWholeInFloat = 2;   // bytes
+  return type == ScalarType::kF64 || (!stream::is_float(type) && stream::scalar_bytes(type) > kWholeInFloat) ? ScalarType::kF64 : ScalarType::kF32;
+}
+
+/// The shortest type that holds what two files have under one name; double where none holds all of it.
+ScalarType common_type(ScalarType a, ScalarType b) {
+  if (a == b) return a;
+  if (stream::is_float(a) || stream::is_float(b)) return float_for(a) == ScalarType::kF64 ? ScalarType::kF64 : float_for(b);
+  const std::size_t bytes_a = stream::scalar_bytes(a), bytes_b = stream::scalar_bytes(b);
+  if (is_unsigned(a) == is_unsigned(b)) return bytes_a > bytes_b ? a : b;
+  const std::size_t wanted = std::max(is_unsigned(a) ? 2 * bytes_a : bytes_a, is_unsigned(b) ? 2 * bytes_b : bytes_b);   // with a sign
+  for (const ScalarType type : {ScalarType::kI16, ScalarType::kI32, ScalarType::kI64})
+    if (stream::scalar_bytes(type) == wanted) return type;
+  return ScalarType::kF64;
 }
 
 }  // namespace
@@ -54,6 +73,20 @@ std::optional<double> SourceFiles::position_step() const {
   }
   if (!(step > 0) || !std::isfinite(step)) return std::nullopt;
   return step;
+}
+
+std::optional<stream::PositionGrid> SourceFiles::position_grid() const {
+  const std::optional<double> step = position_step();
+  if (!step) return std::nullopt;
+  const stream::PositionGrid& first = *schemas_.front().grid;
+  bool are_multiples = true;
+  for (int axis = 0; axis < 3; ++axis) {
+    const double scale = std::abs(first.scale[axis]);
+    for (const stream::PointSchema& schema : schemas_)
+      if (std::abs(schema.grid->scale[axis]) != scale || !is_whole((schema.grid->add[axis] - first.add[axis]) / scale)) return std::nullopt;
+    are_multiples = are_multiples && is_whole(scale / *step) && is_whole(first.add[axis] / *step);
+  }
+  return are_multiples ? std::nullopt : std::optional(first);
 }
 
 std::string SourceFiles::coordinate_system() const {
@@ -89,7 +122,7 @@ const stream::PointBlock& SourceFiles::read(std::size_t max_points) {
     fields_.clear();
     for (std::size_t k = 0; k < carried_.size(); ++k) {
       fields_.push_back(*find_field(schemas_[file_], carried_from_[k]));
-      if (carried_[k].type != carried_from_[k].type) fields_.back().as_double = carried_from_[k].type;
+      fields_.back().written = carried_[k].type;
     }
   }
   if (!reader_->read(block_, static_cast<std::size_t>(std::min<std::uint64_t>(max_points, left_in_file_))))
@@ -101,36 +134,50 @@ const stream::PointBlock& SourceFiles::read(std::size_t max_points) {
 std::byte* SourceFiles::copy_carried(std::size_t i, std::byte* to) const {
   const std::byte* from = block_.extras.data() + i * schemas_[file_].extra_bytes();
   for (const CarriedField& f : fields_) {
-    if (f.as_double) {   // as long as it was
-      const double value = *f.as_double == ScalarType::kI64 ? load_as_double<std::int64_t>(from + f.offset) : load_as_double<std::uint64_t>(from + f.offset);
-      std::memcpy(to, &value, sizeof value);
-    } else {
-      std::memcpy(to, from + f.offset, f.bytes);
-    }
-    to += f.bytes;
+    const std::size_t bytes = stream::scalar_bytes(f.written);
+    if (f.type == f.written)
+      std::memcpy(to, from + f.offset, bytes);
+    else
+      stream::store_scalar(f.written, stream::load_scalar(f.type, from + f.offset), to);   // which holds it: see common_type()
+    to += bytes;
   }
   return to;
 }
 
-std::optional<SourceFiles::CarriedField> SourceFiles::find_field(const stream::PointSchema& schema, const PointProperty& wanted) {
+std::optional<SourceFiles::CarriedField> SourceFiles::find_field(const stream::PointSchema& schema, const std::string& name) {
   std::size_t offset = 0;
   for (const PointProperty& p : schema.extras) {
-    if (p.name == wanted.name && p.type == wanted.type) return CarriedField{offset, stream::scalar_bytes(p.type)};
+    if (p.name == name) return CarriedField{offset, p.type, p.type};
     offset += stream::scalar_bytes(p.type);
   }
   return std::nullopt;
 }
 
 void SourceFiles::choose_carried(const Carry& carry, Reporter& report) {
-  for (const PointProperty& p : schemas_.front().extras) {
-    if (std::find(carry.replaced.begin(), carry.replaced.end(), p.name) != carry.replaced.end()) {
-      report.note(concat("export: the input's property \"", p.name, "\" is replaced by the result's"));
-    } else if (std::all_of(schemas_.begin(), schemas_.end(), [&](const stream::PointSchema& s) { return find_field(s, p).has_value(); })) {
-      add_carried(p, carry, report);
-    } else {
-      report.note(concat("export: the input's property \"", p.name, "\" is left out: not every source file has it"));
-    }
+  std::set<std::string> chosen;
+  for (const stream::PointSchema& schema : schemas_)
+    for (const PointProperty& p : schema.extras)
+      if (chosen.insert(p.name).second) choose(p, carry, report);
+}
+
+void SourceFiles::choose(PointProperty property, const Carry& carry, Reporter& report) {
+  if (std::find(carry.replaced.begin(), carry.replaced.end(), property.name) != carry.replaced.end()) {
+    report.note(concat("export: the input's property \"", property.name, "\" is replaced by the result's"));
+    return;
   }
+  const ScalarType first = property.type;
+  bool differs = false;
+  for (const stream::PointSchema& schema : schemas_) {
+    const auto field = find_field(schema, property.name);
+    if (!field) {
+      report.note(concat("export: the input's property \"", property.name, "\" is left out: not every source file has it"));
+      return;
+    }
+    differs = differs || field->type != first;
+    property.type = common_type(property.type, field->type);
+  }
+  if (differs) report.note(concat("export: the input's property \"", property.name, "\" has several types in the source files and is written as ", stream::scalar_name(property.type)));
+  add_carried(property, carry, report);
 }
 
 void SourceFiles::add_carried(const PointProperty& property, const Carry& carry, Reporter& report) {
@@ -147,7 +194,7 @@ void SourceFiles::add_carried(const PointProperty& property, const Carry& carry,
     report.note(concat("export: the input's property \"", property.name, "\" is written as double, exact up to 2^53: the format has no whole numbers of 64 bits"));
   }
   carried_.push_back(written);
-  carried_from_.push_back(property);
+  carried_from_.push_back(property.name);
 }
 
 }  // namespace chiaro::tools

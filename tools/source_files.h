@@ -18,7 +18,7 @@ namespace chiaro::tools {
 class SourceFiles {
  public:
   struct Carry {
-    std::vector<std::string> replaced;   ///< names of properties that the result has itself. Those, and what not every file has, are not carried; a note says so
+    std::vector<std::string> replaced;   ///< names of properties that the result has itself. Those, and what not every file has, are not carried; a note says so. What files have in several types is written in one that holds all of them
     bool long_integers = true;           ///< the result's format has whole numbers of 64 bits; else they are carried as double, and a note says so
   };
   /// memory_bytes: for readers of files that are not streamed through and through; throws Error where one needs more.
@@ -29,6 +29,8 @@ class SourceFiles {
   bool position_is_double() const { return position_is_double_; }
   /// The coarsest step on which the positions of all files lie, where they are stored as whole numbers (LAS).
   std::optional<double> position_step() const;
+  /// What the positions of all files lie on, where multiples of that step are something else: other steps for other axes, an offset between two multiples.
+  std::optional<stream::PositionGrid> position_grid() const;
   /// WKT of the coordinate system that all files name; empty where they do not.
   std::string coordinate_system() const;
   /// As they are written: a name that not every format can hold is changed, and a note says so.
@@ -42,11 +44,12 @@ class SourceFiles {
  private:
   /// One carried property inside a file's packed extras.
   struct CarriedField {
-    std::size_t offset = 0, bytes = 0;
-    std::optional<stream::ScalarType> as_double;   ///< its type there, where it is written as double
+    std::size_t offset = 0;
+    stream::ScalarType type = stream::ScalarType::kF64, written = stream::ScalarType::kF64;   ///< there, and in the result
   };
-  static std::optional<CarriedField> find_field(const stream::PointSchema& schema, const stream::PointProperty& wanted);
+  static std::optional<CarriedField> find_field(const stream::PointSchema& schema, const std::string& name);
   void choose_carried(const Carry& carry, Reporter& report);
+  void choose(stream::PointProperty property, const Carry& carry, Reporter& report);
   void add_carried(const stream::PointProperty& property, const Carry& carry, Reporter& report);
 
   const stream::Manifest& manifest_;
@@ -54,7 +57,8 @@ class SourceFiles {
   std::uint64_t memory_bytes_;
   std::vector<stream::PointSchema> schemas_;
   bool position_is_double_ = false;
-  std::vector<stream::PointProperty> carried_, carried_from_;   ///< as written, and as in the files
+  std::vector<stream::PointProperty> carried_;   ///< as written
+  std::vector<std::string> carried_from_;        ///< their names in the files
   std::unique_ptr<stream::PointReader> reader_;
   std::size_t file_ = 0;
   std::uint64_t left_in_file_ = 0;

@@ -67,15 +67,15 @@ class TaskList {
 
 struct Shoot {
   std::string name, lead;   ///< lead: of the acquisition that its lights are solved with, mostly itself
+  bool has_flash = true;    ///< without, it measures ambient light and gives no albedo
   std::vector<std::string> photographs;
 };
 
 std::vector<Shoot> shoots_of(const Json& project, const fs::path& file) {
   std::vector<Shoot> shoots;
   for (const Json& a : member(project, "acquisition")) {
-    Shoot shoot{text_of(member(a, "name")), text_of(member(a, "lights_of"), text_of(member(a, "name"))), {}};
+    Shoot shoot{text_of(member(a, "name")), text_of(member(a, "lights_of"), text_of(member(a, "name"))), text_of(member(a, "role"), "flash") == "flash", {}};
     require_plain_name(shoot.name, file, "an acquisition");
-    if (text_of(member(a, "role"), "flash") != "flash") continue;   // measured ambient light: not a source of albedo
     for (const Json& p : member(a, "photographs")) {
       shoot.photographs.push_back(text_of(member(p, "key")));
       require_plain_name(shoot.photographs.back(), file, "a photograph");
@@ -88,9 +88,9 @@ std::vector<Shoot> shoots_of(const Json& project, const fs::path& file) {
 
 /// Lights are solved once for all acquisitions that share them, and for none of which every photograph was left out.
 void add_lights(TaskList& list, const std::vector<Shoot>& shoots, const Shoot& lead) {
-  if (lead.lead != lead.name) return;
+  if (lead.lead != lead.name || !lead.has_flash) return;
   const bool none_left = std::all_of(shoots.begin(), shoots.end(), [&](const Shoot& s) {
-    return s.lead != lead.name || std::all_of(s.photographs.begin(), s.photographs.end(), [&](const std::string& key) { return list.leaves_out(key); });
+    return s.lead != lead.name || !s.has_flash || std::all_of(s.photographs.begin(), s.photographs.end(), [&](const std::string& key) { return list.leaves_out(key); });
   });
   list.add("gather", lead.name, none_left);
   list.add("light", lead.name, none_left);
@@ -99,8 +99,10 @@ void add_lights(TaskList& list, const std::vector<Shoot>& shoots, const Shoot& l
 void add_tasks(TaskList& list, const std::vector<Shoot>& shoots, const std::string& method, const Json& project) {
   list.add("ingest");
   for (const Shoot& shoot : shoots) {
+    if (!shoot.has_flash && method == "none") continue;   // no light is looked for
     for (const auto& key : shoot.photographs) list.add_of_photograph("develop", key);
     for (const auto& key : shoot.photographs) list.add_of_photograph("raycast", key);
+    if (!shoot.has_flash) continue;
     if (method != "none") add_lights(list, shoots, shoot);
     for (const auto& key : shoot.photographs) list.add_of_photograph(method == "none" ? "colour" : "albedo", key);
   }
@@ -109,7 +111,8 @@ void add_tasks(TaskList& list, const std::vector<Shoot>& shoots, const std::stri
   list.add("blend", item);
   if (text_of(member(member(project, "blend"), "refine"), "none") != "none") list.add("refine", item);
   for (const Shoot& shoot : shoots)
-    for (const auto& key : shoot.photographs) list.add_of_photograph("residual", key);
+    if (shoot.has_flash)
+      for (const auto& key : shoot.photographs) list.add_of_photograph("residual", key);
   for (const Json& e : member(project, "export")) list.add("export", text_of(member(e, "file")));
 }
 

@@ -50,6 +50,11 @@ bool matches(const Json& marker, const std::string& key, const std::vector<std::
 }
 }  // namespace
 
+std::string TaskLog::info(const std::string& name) const {
+  const Json found = read_marker(marker(name));
+  return found.is_object() && found.contains("info") ? found["info"].dump() : "{}";
+}
+
 void TaskLog::forget(const std::string& name) const {
   std::error_code code;
   std::filesystem::remove(marker(name), code);

@@ -19,6 +19,8 @@ class TaskLog {
   explicit TaskLog(std::filesystem::path folder);
   /// Runs `body` unless the marker of `name` holds `key` and all outputs exist. body returns a JSON object about what it did.
   TaskOutcome run(const std::string& name, const std::string& key, const std::vector<std::filesystem::path>& outputs, const std::function<std::string()>& body) const;
+  /// What the body of `name` said when it ran last, as JSON; an empty object where there is no marker.
+  std::string info(const std::string& name) const;
   /// The task will run again.
   void forget(const std::string& name) const;
   /// True if it would not run.

@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <sys/file.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cerrno>
@@ -24,6 +25,12 @@ bool try_lock(int fd, int kind) {
   }
 }
 
+/// False where the folder was renamed or removed since it was opened: whoever had it then has published it under another name, and what stands in its place is not ours.
+bool is_still(int fd, const std::filesystem::path& folder) {
+  struct stat opened {}, now {};
+  return ::fstat(fd, &opened) == 0 && ::stat(folder.c_str(), &now) == 0 && opened.st_dev == now.st_dev && opened.st_ino == now.st_ino;
+}
+
 }  // namespace
 
 FolderLock::FolderLock(const std::filesystem::path& folder) : fd_(open_folder(folder)) {
@@ -32,10 +39,12 @@ FolderLock::FolderLock(const std::filesystem::path& folder) : fd_(open_folder(fo
   constexpr std::chrono::milliseconds kPause(50);   // is_held() of another process holds it for a moment
   for (int i = 0; i < kTries; ++i) {
     if (i > 0) std::this_thread::sleep_for(kPause);
-    if (try_lock(fd_, LOCK_EX)) return;
+    if (!try_lock(fd_, LOCK_EX)) continue;
+    if (is_still(fd_, folder)) return;
+    close();
+    throw Error(concat(folder.string(), ": another chiaro has just ended its work here; start again"));
   }
-  ::close(fd_);
-  fd_ = -1;
+  close();
   throw Error(concat(folder.string(), ": another chiaro is at work here; wait until it ends, or choose another --out"));
 }
 
@@ -49,8 +58,11 @@ bool FolderLock::is_held(const std::filesystem::path& folder) {
   return held;
 }
 
-FolderLock::~FolderLock() {
+FolderLock::~FolderLock() { close(); }
+
+void FolderLock::close() noexcept {
   if (fd_ >= 0) ::close(fd_);
+  fd_ = -1;
 }
 
 }  // namespace chiaro

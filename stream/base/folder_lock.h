@@ -6,7 +6,7 @@ namespace chiaro {
 
 /// Holds an existing folder until the object, or the process, is gone; leaves nothing on the disk.
 ///
-/// throws   Error if, for a fifth of a second, another process (or another such object) holds it. Where the file system knows no locks the folder is taken as free.
+/// throws   Error if, for a fifth of a second, another process (or another such object) holds it, or moved or removed it before it let go. Where the file system knows no locks the folder is taken as free.
 class FolderLock {
  public:
   explicit FolderLock(const std::filesystem::path& folder);
@@ -17,6 +17,7 @@ class FolderLock {
   static bool is_held(const std::filesystem::path& folder);
 
  private:
+  void close() noexcept;
   int fd_ = -1;
 };
 

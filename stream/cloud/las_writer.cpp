@@ -116,9 +116,11 @@ class LasWriter final : public RowWriter {
     for (int axis = 0; axis < 3; ++axis) {
       const double extent = box.empty() ? 0 : box.max[axis] - box.min[axis];
       const double finest = extent / 4294000000.0;  // a little fewer than 2^32 steps
-      scale_[axis] = std::max(finest, options_.resolution.value_or(default_step()));
+      const double wanted = options_.grid ? std::abs(options_.grid->scale[axis]) : options_.resolution.value_or(default_step());
+      scale_[axis] = std::max(finest, wanted);
       const double middle = box.empty() ? 0 : box.min[axis] + extent / 2;
-      add_[axis] = std::floor(middle / (scale_[axis] * 1000)) * (scale_[axis] * 1000);
+      const double from = options_.grid && scale_[axis] == wanted ? options_.grid->add[axis] : 0;
+      add_[axis] = std::floor((middle - from) / (scale_[axis] * 1000)) * (scale_[axis] * 1000) + from;
     }
   }
 

@@ -96,6 +96,7 @@ struct PointWriterOptions {
   std::vector<PointProperty> properties;
   Box3d bounds;                         ///< of the positions; LAS derives scale and offset from it
   std::optional<double> resolution;     ///< > 0: smallest step worth keeping, project units (LAS scale); default: the power of ten above extent / 2^31
+  std::optional<PositionGrid> grid;     ///< what the positions lie on (LAS): kept where the extent allows it, and goes before `resolution`
   std::vector<std::string> comments;    ///< header comments where the format has them
   std::string coordinate_system;        ///< WKT, where the format has a place for it (LAS)
 };

@@ -1,4 +1,4 @@
-/// Packed little-endian scalars of any ScalarType, as doubles. Internal to stream/cloud.
+/// Packed little-endian scalars of any ScalarType, as doubles.
 #pragma once
 #include <cstddef>
 #include <cstdint>

@@ -83,6 +83,15 @@ class Samples {
         if (!(v >= 0 && v <= 255 && v == std::floor(v))) return false;
     return true;
   }
+  /// Numbers of the points: 1, 2, 3, … for so many lines that it is no place.
+  bool counts(std::size_t column) const {
+    constexpr std::size_t kLines = 20;
+    const std::vector<double>& values = columns_[column];
+    if (values.size() < kLines || !(values[0] == 0 || values[0] == 1)) return false;
+    for (std::size_t i = 1; i < values.size(); ++i)
+      if (values[i] != values[i - 1] + 1) return false;
+    return true;
+  }
   /// All of length one, or zero where there is none.
   bool are_normals(std::size_t first) const {
     std::size_t units = 0;
@@ -255,6 +264,8 @@ class TextOpener {
     if (names_line_ > 0 && names_.size() != num_columns_)
       fail(rows_.line, concat(num_columns_, " values, line ", names_line_, " names ", names_.size(), " columns"));
     if (names_.size() != num_columns_) {
+      if (samples_.num_columns() > 3 && samples_.counts(0))
+        fail(rows_.line, "the first column counts the points: taken for x it would give another cloud. A line of names above, such as 'number x y z', says what the columns are");
       names_ = samples_.num_columns() > 0 ? guess_names(samples_, lower_extension(file_.path()) == ".xyzrgb") : std::vector<std::string>{"x", "y", "z"};
       while (names_.size() < num_columns_) names_.push_back(concat("column_", names_.size() + 1));
     }

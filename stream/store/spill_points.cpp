@@ -23,6 +23,7 @@ constexpr std::uint64_t kMostPartitionPoints = 400'000;
 constexpr double kMaxCoordinate = 1e9;    // project units
 constexpr std::uint64_t kMaxPoints = std::uint64_t{1} << 40;
 constexpr const char* kOutOfRange = "out of range";
+constexpr std::array<std::uint16_t, 3> kMidGrey{128 * 257, 128 * 257, 128 * 257};
 
 /// A block of points on its way, and what is made of it.
 template <class Made>
@@ -285,6 +286,7 @@ class PointPasses {
       }
     }
     if (piece.schema->has_colour) p.colour = piece.block.colour[i];
+    else if (b_.has_colour) p.colour = kMidGrey;   // other files have colours: not black, which would be one
     return p;
   }
 

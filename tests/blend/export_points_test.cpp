@@ -114,7 +114,7 @@ PlyFile read_ply(const std::filesystem::path& path) {
     std::vector<double> row;
     for (const std::string& p : ply.properties) {
       const std::string type = p.substr(0, p.find(' '));
-      row.push_back(type == "double" ? take<double>(at) : type == "float" ? take<float>(at) : type == "uchar" ? take<std::uint8_t>(at) : type == "ushort" ? take<std::uint16_t>(at)
+      row.push_back(type == "double" ? take<double>(at) : type == "float" ? take<float>(at) : type == "uchar" ? take<std::uint8_t>(at) : type == "ushort" ? take<std::uint16_t>(at) : type == "short" ? take<std::int16_t>(at)
                                                                                                                                        : take<std::int32_t>(at));
     }
     ply.rows.push_back(std::move(row));
@@ -478,6 +478,41 @@ TEST_F(ExportPoints, SeveralFilesFollowOneAnotherAndKeepWhatAllOfThemHave) {
   EXPECT_EQ(row, ply.rows.size());
 }
 
+TEST_F(ExportPoints, WhatTheFirstFileLacksIsNamed) {
+  const auto other = folder.path() / "second.ply";
+  write_ply(cloud, points, false);
+  write_ply(other, input_points(2));
+  const stream::Store store = build({cloud, other});
+  write_layer(store);
+  run(store, to("albedo.ply"));
+  EXPECT_EQ(read_ply(folder.path() / "albedo.ply").properties.back(), "float quality");
+  EXPECT_NE(report.notes.find("\"scan\" is left out"), std::string::npos) << report.notes;
+}
+
+TEST_F(ExportPoints, WhatFilesHaveInSeveralTypesIsWrittenInOneThatHoldsAll) {
+  const auto write = [&](const char* name, const char* properties, const std::vector<std::string>& values) {
+    const auto file = folder.path() / name;
+    std::string text = concat("ply\nformat ascii 1.0\nelement vertex ", values.size(), "\nproperty double x\nproperty double y\nproperty double z\n", properties, "end_header\n");
+    for (std::size_t i = 0; i < values.size(); ++i) text += concat(i % 5, " ", i / 5, " 0 ", values[i], "\n");
+    write_text(file, text);
+    return file;
+  };
+  const auto first = write("first.ply", "property float quality\nproperty uchar class\nproperty ushort intensity\nproperty uint id\nproperty uchar kept\n", std::vector<std::string>(10, "0.5 200 65535 4000000000 7"));
+  const auto second = write("second.ply", "property uchar kept\nproperty double quality\nproperty char class\nproperty float intensity\nproperty short id\n", std::vector<std::string>(10, "8 1234567890.125 -100 0.25 -3"));
+  const stream::Store store = build({first, second});
+  write_layer(store);
+  run(store, to("albedo.ply"));
+  const PlyFile ply = read_ply(folder.path() / "albedo.ply");
+  const std::vector<std::string> carried(ply.properties.end() - 5, ply.properties.end());
+  EXPECT_EQ(carried, (std::vector<std::string>{"double quality", "short class", "float intensity", "double id", "uchar kept"}));   // PLY has no whole numbers of 64 bits
+  EXPECT_NE(report.notes.find("\"class\" has several types in the source files and is written as short"), std::string::npos) << report.notes;
+  EXPECT_EQ(report.notes.find("left out"), std::string::npos) << report.notes;
+  ASSERT_EQ(ply.rows.size(), 20u);
+  const auto values = [&](std::size_t row) { return std::vector<double>(ply.rows[row].end() - 5, ply.rows[row].end()); };
+  EXPECT_EQ(values(9), (std::vector<double>{0.5, 200, 65535, 4e9, 7}));
+  EXPECT_EQ(values(10), (std::vector<double>{1234567890.125, -100, 0.25, -3, 8}));
+}
+
 TEST_F(ExportPoints, AnExportIngestedAgainDoesNotRepeatItsProperties) {
   const stream::Store first = build();
   write_layer(first);
@@ -742,6 +777,37 @@ TEST_F(ExportPoints, LasKeepsTheStepOfALasFileAndTheDigitsOfOthers) {
   options.file = folder.path() / "second.las";
   run(build({folder.path() / "coarse.las"}), options);
   EXPECT_EQ(scale_of(options.file), 0.002);
+}
+
+// As CloudCompare and PDAL write it: the offset is the lowest coordinate, whatever that is. Feet in metres, and another step for heights.
+TEST_F(ExportPoints, LasKeepsThePositionsOfALasFileWithAnyOffset) {
+  const auto write = [&](const char* name, const stream::PositionGrid& grid, std::int64_t shift) {
+    stream::PointWriterOptions las;
+    las.num_points = 300;
+    las.properties = {{"x", stream::ScalarType::kF64}, {"y", stream::ScalarType::kF64}, {"z", stream::ScalarType::kF64}};
+    las.grid = grid;
+    std::string rows;
+    for (std::int64_t i = 0; i < 300; ++i) {
+      const Vec3d p = grid.position({shift + 7 * (i % 20), 11 * (i / 20) - shift, i % 3});
+      las.bounds.extend(p);
+      for (const double v : p) append(rows, v);
+    }
+    const auto writer = stream::create_points(folder.path() / name, las);
+    writer->write(reinterpret_cast<const std::byte*>(rows.data()), 300);
+    writer->commit();
+    return folder.path() / name;
+  };
+  const stream::PositionGrid grid{{0.0003048, 0.0003048, 0.001}, {431234.56789, 5212345.67891, 100.0005}};
+  const auto one = write("one.las", grid, 0), two = write("two.las", grid, 5000);
+  ExportOptions options = to("kept.las");
+  options.layer.clear();
+  run(build({one, two}), options);
+  const WholeCloud kept = read_cloud(options.file);
+  ASSERT_EQ(kept.points.size(), 600u);
+  constexpr double kRounding = 4e-9;   // of doubles of five million metres
+  std::size_t at = 0;
+  for (const auto& file : {one, two})
+    for (const Vec3d& p : read_cloud(file).points.position) ASSERT_LE((kept.points.position[at++] - p).cwiseAbs().maxCoeff(), kRounding) << at;
 }
 
 TEST_F(ExportPoints, LazComesOutAsLasWithAllThatItCarried) {

@@ -177,14 +177,17 @@ TEST_F(ExitCode, Is130AfterAnInterruptAndTheRunGoesOn) {
   scene();
   ASSERT_EQ(run("whole").code, 0);
   ProcessOptions interrupt;
-  interrupt.signal = SIGINT;
   interrupt.signal_when = [this] { return fs::exists(at("out/work/tasks/ingest.json")); };
-  const ProcessResult ran = run("out", {}, interrupt);
-  EXPECT_EQ(ran.code, 130) << ran.err;
-  EXPECT_FALSE(ran.signalled);
-  EXPECT_THAT(ran.err, HasSubstr("interrupted"));
-  EXPECT_FALSE(fs::exists(at("out/albedo.ply")));
-  EXPECT_EQ(json("out/run.json")["exit"], 130);
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
+    interrupt.signal = signal;
+    fs::remove_all(at("out"));
+    const ProcessResult ran = run("out", {}, interrupt);
+    EXPECT_EQ(ran.code, 130) << signal << ": " << ran.err;
+    EXPECT_FALSE(ran.signalled) << signal;
+    EXPECT_THAT(ran.err, HasSubstr("interrupted"));
+    EXPECT_FALSE(fs::exists(at("out/albedo.ply")));
+    EXPECT_EQ(json("out/run.json")["exit"], 130);
+  }
   ASSERT_EQ(run("out").code, 0);
   EXPECT_THAT(differences(results("whole"), results("out")), testing::IsEmpty());
   EXPECT_TRUE(json("out/run.json")["stages"][0]["reused"].get<bool>());

@@ -111,6 +111,40 @@ TEST_F(Layers, TwoMethodsLieBesideEachOtherAndEachIsReused) {
   EXPECT_EQ(asked, 1);
 }
 
+// An export of the same name and length may come from another layer, and may have been put there by other commands.
+TEST_F(Layers, AnExportIsThatOfItsLayer) {
+  scene({.photographs = 1});
+  const auto in_layer = [&](const std::string& name, const std::string& method) { return run("out", {"--set", "solve.method=" + method, "--set", "blend.layer=" + name}); };
+  ASSERT_EQ(in_layer("day1", "none").code, 0);
+  ASSERT_EQ(in_layer("day2", "none").code, 0);   // the same values
+  EXPECT_THAT(file_bytes(at("out/albedo.ply")).substr(0, 100), HasSubstr("layer day2"));
+  ASSERT_EQ(in_layer("dark", "direct").code, 0);
+  const std::string exported = file_bytes(at("out/albedo.ply"));
+  ASSERT_EQ(chiaro({"export", at("out").string(), "--layer", "day1", "--out", at("out/albedo.ply").string()}).code, 0);
+  ASSERT_EQ(file_bytes(at("out/albedo.ply")).size(), exported.size());
+  ASSERT_EQ(in_layer("dark", "direct").code, 0);
+  EXPECT_EQ(file_bytes(at("out/albedo.ply")), exported);
+}
+
+TEST_F(Layers, AreMadeAgainWhereAnotherWasPutInTheirPlace) {
+  scene({.photographs = 1});
+  const auto in_layer = [&](const std::string& name, const std::string& method) { return run("out", {"--set", "solve.method=" + method, "--set", "blend.layer=" + name}); };
+  ASSERT_EQ(in_layer("plain", "none").code, 0);
+  ASSERT_EQ(in_layer("albedo", "direct").code, 0);
+  const auto before = layer_files("albedo");
+  fs::remove_all(at("out/store.chiaro/layers/albedo"));
+  fs::copy(at("out/store.chiaro/layers/plain"), at("out/store.chiaro/layers/albedo"), fs::copy_options::recursive);
+  ASSERT_EQ(in_layer("albedo", "direct").code, 0);
+  EXPECT_THAT(differences(before, layer_files("albedo")), testing::IsEmpty());
+}
+
+TEST_F(Layers, NameTheAcquisitionsThatTheyAreMadeOf) {
+  scene({.photographs = 1});
+  ASSERT_EQ(run("out", {"--set", "solve.method=none"}).code, 0);
+  ASSERT_EQ(run("out", {"--set", "solve.method=none", "--set", "acquisition.0.name=spring"}).code, 0);
+  EXPECT_THAT(chiaro({"info", at("out").string()}).out, HasSubstr("1 photograph of spring"));
+}
+
 TEST_F(Layers, APhotographIsAddedToOneThatWasKept) {
   scene();
   const std::vector<std::string> none{"--set", "solve.method=none"};
@@ -140,7 +174,40 @@ TEST_F(Layers, AreNotLostWithTheirStore) {
   EXPECT_EQ(refused.code, 1);
   EXPECT_THAT(refused.err, HasSubstr("layers would be lost: day1"));
   EXPECT_THAT(differences(first, layer_files("day1")), testing::IsEmpty());
+  const auto ingest = [&](const std::string& normals) { return chiaro({"ingest", at("scene/cloud.ply").string(), "--normals", normals, "--out", at("out/store.chiaro").string()}); };
+  const ProcessResult replaced = ingest("estimate");
+  EXPECT_EQ(replaced.code, 1);
+  EXPECT_THAT(replaced.err, HasSubstr("layers would be lost: day1"));
+  EXPECT_EQ(ingest("auto").code, 0);   // what it is made of
+  EXPECT_THAT(differences(first, layer_files("day1")), testing::IsEmpty());
   EXPECT_EQ(run("out", {"--set", "blend.layer=day1", "--set", "cloud.normals=estimate"}).code, 0);   // its own is made again
+  put_bytes(at("out/store.chiaro/index.bin"), "damaged");
+  EXPECT_THAT(run("out", {"--set", "blend.layer=day2"}).err, HasSubstr("layers would be lost: day1"));
+}
+
+TEST_F(Layers, AStoreOfSomethingElseIsNotTakenForTheProjects) {
+  scene({.photographs = 1});
+  ASSERT_EQ(run("out", {"--set", "solve.method=none"}).code, 0);
+  const auto before = results("out");
+  fs::remove_all(at("out/store.chiaro/layers/albedo"));
+  ASSERT_EQ(chiaro({"ingest", at("scene/cloud.ply").string(), "--normals", "estimate", "--out", at("out/store.chiaro").string()}).code, 0);
+  ASSERT_EQ(run("out", {"--set", "solve.method=none"}).code, 0);
+  EXPECT_THAT(differences(before, results("out")), testing::IsEmpty());
+}
+
+// Years may lie between two dates; work/ may be gone.
+TEST_F(Layers, AnotherOneComesToAStoreWhoseRunHasLeftNothingElse) {
+  scene({.photographs = 1});
+  for (const std::string outliers : {"none", "statistical"}) {
+    const auto add = [&](const std::string& layer) { return run(outliers, {"--set", "solve.method=none", "--set", "cloud.outliers=" + outliers, "--set", "blend.layer=" + layer}); };
+    ASSERT_EQ(add("day1").code, 0);
+    const auto first = files_below(at(outliers + "/store.chiaro"), {"geometry.bin", "layers/day1"});
+    fs::remove_all(at(outliers + "/work"));
+    const ProcessResult ran = add("day2");
+    ASSERT_EQ(ran.code, 0) << ran.err;
+    EXPECT_THAT(differences(first, files_below(at(outliers + "/store.chiaro"), {"geometry.bin", "layers/day1"})), testing::IsEmpty());
+    EXPECT_TRUE(fs::exists(at(outliers + "/store.chiaro/layers/day2")));
+  }
 }
 
 TEST_F(Layers, ALayerOfAnotherStoreIsRefused) {

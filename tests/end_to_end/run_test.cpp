@@ -251,6 +251,29 @@ TEST_F(Run, ReusesWhatIsDone) {
   expect_all_reused();
 }
 
+TEST_F(Run, NotesOnLightsNamePhotographsAsTheyAreCalledNow) {
+  scene({.photographs = 1});
+  ASSERT_EQ(run("out").code, 0);
+  fs::rename(at("scene/photos/photo_00.exr"), at("scene/photos/photo_09.exr"));
+  fs::rename(at("scene/masks/photo_00.png"), at("scene/masks/photo_09.png"));
+  edit("scene/sparse/images.txt", "photo_00.exr", "photo_09.exr");
+  const ProcessResult ran = run("out");
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("photo_09: one photograph does not tell light from albedo"));
+  EXPECT_THAT(ran.err, testing::Not(HasSubstr("photo_00")));
+}
+
+TEST_F(Run, RemovesWhatKilledRunsNeededMeanwhile) {
+  scene({.photographs = 1});
+  fs::create_directories(at("out/work/scratch/chiaro-Ab12Cd"));
+  put_bytes(at("out/work/scratch/chiaro-Ab12Cd/means"), "x");
+  put_bytes(at("out/work/scratch/blend.journal"), "x");
+  put_bytes(at("scene/sparse/cameras.txt"), "1 NOTHING\n");
+  EXPECT_EQ(run("out").code, 1);
+  EXPECT_FALSE(fs::exists(at("out/work/scratch/chiaro-Ab12Cd")));
+  EXPECT_TRUE(fs::exists(at("out/work/scratch/blend.journal")));   // a later run may go on from it
+}
+
 // What a process holds at its start is never the same twice; here it is made to differ by the words of its environment.
 TEST_F(Run, ReusesWhatIsDoneWhateverTheProcessHoldsAtItsStart) {
   scene();

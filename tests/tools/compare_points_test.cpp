@@ -118,6 +118,18 @@ TEST_F(ComparePointsTest, ComparesColoursInLinearLight) {
   EXPECT_EQ(r.relative.max, 0) << "a black reference has no relative difference";
 }
 
+TEST_F(ComparePointsTest, TakesFilledPointsForUnseen) {
+  std::ofstream(scratch_.path() / "a.ply") << "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nproperty float albedo_r\nproperty float albedo_g\n"
+                                              "property float albedo_b\nproperty ushort photos\nend_header\n0 0 0 0.5 0.5 0.5 2\n1 0.5 0 0.9 0.9 0.9 0\n2 1 0 0.5 0.5 0.5 1\n";
+  const std::string a = (scratch_.path() / "a.ply").string(), b = albedo_ply("b.ply", {{0.4f, 0.4f, 0.4f}, {0.4f, 0.4f, 0.4f}, {0.4f, 0.4f, 0.4f}});
+  const PointComparison r = compare_points(a, b, {}, silent_reporter()), other_way = compare_points(b, a, {}, silent_reporter());
+  EXPECT_EQ(r.points, 3u);
+  EXPECT_EQ(r.compared, 2u);
+  EXPECT_EQ(r.unseen_a, 1u);
+  EXPECT_EQ(other_way.unseen_b, 1u);
+  EXPECT_NEAR(r.difference.max, 0.1, 1e-6);
+}
+
 TEST_F(ComparePointsTest, WritesTheDifferences) {
   const fs::path out = scratch_.path() / "diff.ply";
   compare_points(albedo_ply("a.ply", {{0.5f, 0.5f, 0.5f}, {kNanF, kNanF, kNanF}}), albedo_ply("b.ply", {{0.4f, 0.5f, 0.8f}, {1, 1, 1}}), out, silent_reporter());

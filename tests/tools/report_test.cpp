@@ -54,6 +54,32 @@ std::string fault_of_html(const std::string& page) {
   return open.empty() ? "" : open.back() + " stays open";
 }
 
+// Photographs without flash, or of a second shutter time, have no calibration of their own: it is that of the acquisition whose lights they share.
+TEST(Report, AcquisitionsThatShareLightsHaveOneScale) {
+  RunFixture run;
+  run.write();
+  Json lights = run.lights();
+  Json second{{"acquisition", "second"}, {"method", "joint"}, {"lights_of", "day1"}, {"how", "by hand"}, {"references", 0}};
+  second.update(run.light(31.25));
+  lights["acquisitions"].push_back(second);
+  lights["acquisitions"].push_back({{"acquisition", "dark"}, {"method", "joint"}, {"lights_of", "day1"}, {"how", "taken without flash"}});
+  write_text(run.folder.lights(), lights.dump());
+  write_report(run.folder, silent_reporter());
+  Json numbers = numbers_of(run);
+  ASSERT_EQ(numbers["headline"]["absolute_scale"].size(), 1u) << numbers["headline"]["absolute_scale"];
+  EXPECT_EQ(numbers["headline"]["absolute_scale"][0].get<std::string>().find("The absolute scale comes from the calibrated flash range, 25 to 34 W/sr"), 0u) << numbers["headline"];
+  ASSERT_EQ(numbers["lights"].size(), 3u);
+  EXPECT_EQ(numbers["lights"][1]["calibrated"], Json::array({25.0, 34.0}));
+  EXPECT_TRUE(numbers["lights"][2]["absolute_scale"].is_null());
+
+  lights["acquisitions"][1]["references"] = 1;
+  write_text(run.folder.lights(), lights.dump());
+  write_report(run.folder, silent_reporter());
+  numbers = numbers_of(run);
+  ASSERT_EQ(numbers["headline"]["absolute_scale"].size(), 1u) << numbers["headline"]["absolute_scale"];
+  EXPECT_EQ(numbers["headline"]["absolute_scale"][0], "The absolute scale comes from a reference target of known albedo, together with the calibrated flash range.");
+}
+
 TEST(CubeHelix, RunsFromBlackToWhiteThroughGreensTeal) {
   EXPECT_EQ(cubehelix(0), (Rgb8{0, 0, 0}));
   EXPECT_EQ(cubehelix(1), (Rgb8{255, 255, 255}));

@@ -100,6 +100,23 @@ TEST(Status, LightsThatAreSharedOrOfNothingAreNotToDo) {
   EXPECT_EQ(task(s, "light/spoiled").state, TaskState::kLeftOut);
 }
 
+TEST(Status, KnowsTheTasksOfPhotographsWithoutFlash) {
+  RunFixture run;
+  run.write();
+  auto project = nlohmann::json::parse(read_text(run.folder.project()));
+  project["acquisition"].push_back({{"name", "dark"}, {"role", "no_flash"}, {"lights_of", "day1"}, {"photographs", {{{"key", "dark_00"}, {"file", "/somewhere/else.exr"}}}}});
+  write_text(run.folder.project(), project.dump());
+  run.mark("develop/dark_00", 1);
+  RunStatus s = read_status(run.folder);
+  EXPECT_FALSE(s.complete);
+  EXPECT_EQ(task(s, "develop/dark_00").state, TaskState::kDone);
+  EXPECT_EQ(task(s, "raycast/dark_00").state, TaskState::kToDo);
+  run.mark("raycast/dark_00", 1);
+  s = read_status(run.folder);
+  EXPECT_TRUE(s.complete);
+  for (const char* none : {"albedo/dark_00", "residual/dark_00", "light/dark"}) EXPECT_THROW(task(s, none), Error) << none;
+}
+
 TEST(Status, KnowsTheTasksOfBlendingAlone) {
   RunFixture run;
   run.method = "none";

@@ -2,7 +2,11 @@
 
 #include <array>
 #include <atomic>
+#include <chrono>
 #include <cmath>
+#include <future>
+#include <optional>
+#include <thread>
 
 #include "stream/base/budget.h"
 #include "stream/base/error.h"
@@ -167,6 +171,29 @@ TEST(FolderLock, HoldsAFolderForOneAtATime) {
   }
   EXPECT_NO_THROW(FolderLock(scratch.path()));
   EXPECT_TRUE(std::filesystem::is_empty(scratch.path()));
+}
+
+// As where a build is published while a second one waits for its folder: a third may have begun in a new one of that name.
+TEST(FolderLock, OfAFolderThatWasMovedMeanwhileIsNone) {
+  const ScratchFolder scratch;
+  const std::filesystem::path folder = std::filesystem::canonical(scratch.path()) / "a.part";
+  std::filesystem::create_directory(folder);
+  const auto times_open = [&] {
+    int times = 0;
+    for (const auto& fd : std::filesystem::directory_iterator("/proc/self/fd")) {
+      std::error_code code;
+      times += std::filesystem::read_symlink(fd, code) == folder;
+    }
+    return times;
+  };
+  std::optional<FolderLock> first(folder);
+  std::future<void> second = std::async(std::launch::async, [&] { FolderLock{folder}; });
+  while (times_open() < 2 && second.wait_for(std::chrono::seconds(0)) != std::future_status::ready) std::this_thread::yield();
+  std::filesystem::rename(folder, scratch.path() / "a");
+  std::filesystem::create_directory(folder);
+  first.reset();
+  EXPECT_THROW(second.get(), Error);
+  EXPECT_FALSE(FolderLock::is_held(folder));
 }
 
 TEST(EmptyFolder, RemovesAllButTheFolder) {

@@ -112,6 +112,19 @@ TEST_F(Text, AHeaderLineNamesTheColumns) {
   }
 }
 
+TEST_F(Text, NumbersOfPointsAreNoCoordinates) {
+  std::string three, four;
+  for (int i = 1; i <= 100; ++i) {
+    three += concat(i, " ", 0.5 * i, " 7\n");
+    four += concat(i, " ", 0.5 * i, " 7 ", 0.25 * i, "\n");
+  }
+  EXPECT_THAT(error("a.txt", four), HasSubstr("line 1: the first column counts the points"));
+  const Cloud named = read("b.txt", "number x y z\n" + four);
+  EXPECT_EQ(named.points.position[1], Vec3d(1, 7, 0.5));
+  EXPECT_EQ(extra_of<double>(named, 1, "number"), 2);
+  EXPECT_EQ(read("c.txt", three).points.position[1], Vec3d(2, 1, 7));   // there is nothing else that could be x
+}
+
 TEST_F(Text, LinesParsedSideBySideStayInOrderAndTheFirstBadOneIsReported) {
   std::string text;
   for (int i = 0; i < 20000; ++i) text += std::to_string(i) + " 1 " + std::to_string(i % 7) + "\n";

@@ -497,5 +497,27 @@ TEST(Build, TheInputColourBecomesALayerOnEveryLevel) {
   }
 }
 
+TEST(Build, PointsOfAFileWithoutColoursAreGreyBesideOthers) {
+  const ScratchFolder scratch;
+  MemoryCloud painted = plane_cloud(2000), plain = plane_cloud(1000);
+  painted.colour.assign(painted.position.size(), {257, 0, 65535});
+  for (const bool painted_first : {true, false}) {
+    CloudInput input = input_of(painted);
+    input.files = {"first", "second"};
+    input.fingerprints = {"first", "second"};
+    input.open = [&](std::size_t i) { return std::make_unique<MemoryReader>((i == 0) == painted_first ? painted : plain); };
+    MemoryBudget budget(1ull << 29);
+    const fs::path out = scratch.path() / (painted_first ? "a.chiaro" : "b.chiaro");
+    build_store_from(input, out, {}, budget, silent_reporter());
+    const Store store(out);
+    const auto colours = read_colour(Layer(store, "input"), store, 0);
+    const auto sources = store.read_sources(0);
+    ASSERT_EQ(colours.size(), 3000u);
+    using Colour = std::array<std::uint16_t, 3>;
+    for (std::size_t i = 0; i < colours.size(); ++i)
+      ASSERT_EQ(colours[i], (sources[i] < (painted_first ? 2000u : 1000u)) == painted_first ? (Colour{257, 0, 65535}) : (Colour{32896, 32896, 32896}));
+  }
+}
+
 }  // namespace
 }  // namespace chiaro::stream
