@@ -110,13 +110,14 @@ float spread_of_parts(const InspectionCounts& counts, const Vec2f& whole, double
   return distances[distances.size() / 2];
 }
 
-/// A shift is known where one that matters could not have come by chance; or where it is too large for chance and the peak lies within what is searched: one that
-/// is wider than that is no place. Flash light on errors of normals is smooth relief that moves with the light: 2.4 px, eight deviations, on an undisturbed
-/// noisy sphere, with peaks of 4 px and more; a photograph of a tower that was moved by 2 px has 3 px.
+/// A shift is known where one that matters could not have come by chance; and where it is known to a part of a pixel, is too large for chance, and the peak lies
+/// within what is searched: one that is wider than that is no place. Flash light on errors of normals, and smooth paint under errors of light, are relief that moves
+/// with the light: of 188 photographs of synthetic bodies and walls with exact cameras 27 lay 1.8 to 4.5 px beside, three to five of their deviations, which
+/// were .45 px and more; those of photographs that had been moved are .2 px and less.
 bool is_known(const Shift& shift) {
-  constexpr float kDeviations = 3;
+  constexpr float kDeviations = 3, kMostSdPx = 0.3f;
   if (kDeviations * shift.sd_px <= kLeastShiftPx) return true;
-  return kDeviations * shift.sd_px <= shift.px.norm() && shift.width_px <= kSearchPx;
+  return shift.sd_px <= kMostSdPx && kDeviations * shift.sd_px <= shift.px.norm() && shift.width_px <= kSearchPx;
 }
 
 /// Cells that share a side, in which most readings are outvoted.

@@ -121,6 +121,39 @@ TEST(Inspect, APeakThatIsFlatIsNoShift) {
   EXPECT_LT(conclude(inspected(window_of(2, 0), agrees)).shift_sd_px, 0.05f);
 }
 
+/// Smooth paint on a part of the picture, and errors of light as strong and nearly as smooth: somewhere beside the place the two fit together better than at it.
+TEST(Inspect, AFewPiecesOfSmoothPaintDoNotMoveThePicture) {
+  const auto waves = [](std::uint64_t seed, double x, double y) {
+    double sum = 0;
+    for (std::uint64_t i = 0; i < 12; ++i) {
+      const auto u = uniform01x4(seed, Purpose::kTest, i, 0);
+      const double turn = 6.28 * static_cast<double>(u[0]), wave = 0.3 + 0.3 * static_cast<double>(u[1]);
+      sum += 0.03 * std::sin(wave * (std::cos(turn) * x + std::sin(turn) * y) + 6.28 * static_cast<double>(u[2]));
+    }
+    return static_cast<float>(sum);
+  };
+  const std::vector<Vec3f> no_gains(4, Vec3f::Zero());
+  int peaks = 0;
+  for (std::uint64_t seed = 124; seed < 136; ++seed) {
+    PhotoWindow window = window_of(0, 0);
+    for (int y = 0; y < kHeight; ++y)
+      for (int x = 0; x < kWidth; ++x)
+        window.pixels[static_cast<std::size_t>(y * kWidth + x)].high = Vec3f::Constant(0.5f * (waves(seed, x + 0.5, y + 0.5) + 1.7f * waves(seed + 1000, x + 0.5, y + 0.5)));
+    InspectionCounts counts(kWidth, kHeight);
+    for (std::uint64_t i = 0; i < 1500; ++i) {
+      const auto u = uniform01x4(23, Purpose::kTest, i, 0);
+      const Vec2d pixel(static_cast<double>(u[0]) * 48 + 20, static_cast<double>(u[1]) * 36 + 20);
+      Ballot ballot;
+      for (std::uint16_t k = 0; k < 4; ++k) cast_vote(ballot, k, {1, 0.01f, 0, Vec3f::Constant(0.5f), Vec3f::Constant(0.5f * waves(seed, pixel.x(), pixel.y()))}, 0.5f);
+      inspect_reading(ballot, *majority_of(ballot, no_gains, 0.05f), 0, log_value(Vec3f::Constant(0.5f), 0.5f), 0.05f, pixel, window, counts);
+    }
+    const Inspection found = conclude(counts);
+    peaks += found.correlation > 0;
+    if (found.shift_px) EXPECT_LT(found.shift_px->norm(), 0.5f) << "seed " << seed << ", " << found.shift_px->transpose() << ", sd " << found.shift_sd_px;
+  }
+  EXPECT_GE(peaks, 6) << "there is something in common";
+}
+
 TEST(Inspect, NamesThePartThatShowsSomethingElse) {
   const auto disc = [](const Vec2d& p) { return (p - Vec2d(80, 30)).norm() < 18 ? 0.1f : 0.5f; };
   const Inspection i = conclude(inspected(window_of(0, 0), disc));
