@@ -8,10 +8,12 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <utility>
 #include <vector>
 
+#include "blend/ball_sums.h"
 #include "stream/base/types.h"
 
 namespace chiaro::blend {
@@ -35,7 +37,7 @@ struct SurfaceMean {
   bool valid = false;
 };
 
-/// Pixels of an image, a plane a number: sums over them take four at a time.
+/// Pixels of an image, four beside each other together: sums over them take four at a time.
 class SurfacePlanes {
  public:
   SurfacePlanes() = default;
@@ -44,15 +46,26 @@ class SurfacePlanes {
   int rows() const { return rows_; }
   SurfacePixel at(int x, int y) const;
   void set(int x, int y, const SurfacePixel& pixel);
-  enum Plane { kX, kY, kZ, kArea, kRed, kGreen, kBlue, kNormalX, kNormalY, kNormalZ, kCos, kPlanes };
-  /// Row of a plane. Up to three floats beyond its end may be read: they have no area.
-  const float* row(Plane plane, int y) const { return &values_[plane][static_cast<std::size_t>(y) * stride_]; }
+  /// Shows nothing.
+  void leave_out(int x, int y) { values_[index(x, y) + kArea * kBlocksTogether] = 0; }
+  /// Of this size; what pixels are is open, but for those beyond the end of a row.
+  void fit(int width, int rows) {
+    if (width == width_ && rows == rows_) return;
+    *this = {};   // never both at once
+    *this = SurfacePlanes(width, rows);
+  }
+  /// The four that x is one of, see Plane. Three columns beyond the image, up to the end of their group, may be read: they have no area.
+  const float* group(int x, int y) const { return &values_[group_index(x, y)]; }
+  float* group(int x, int y) { return &values_[group_index(x, y)]; }
+  std::size_t row_stride() const { return groups_ * kGroupFloats; }
   static std::size_t bytes_per_pixel() { return kPlanes * sizeof(float); }
 
  private:
+  std::size_t group_index(int x, int y) const { return (static_cast<std::size_t>(y) * groups_ + static_cast<std::size_t>(x) / kBlocksTogether) * kGroupFloats; }
+  std::size_t index(int x, int y) const { return group_index(x, y) + static_cast<std::size_t>(x) % kBlocksTogether; }
   int width_ = 0, rows_ = 0;
-  std::size_t stride_ = 0;
-  std::array<std::vector<float>, kPlanes> values_;
+  std::size_t groups_ = 0;   // in a row
+  std::vector<float> values_;
 };
 
 /// Pixels and their means over blocks of 2, 4, 8, 16 pixels, so that a mean takes about as many samples at any radius.
@@ -60,13 +73,19 @@ class SurfacePyramid {
  public:
   /// pixels: whole rows; the first row is a multiple of kPyramidRows in the image. Samples farther apart than radius / 2 share no block.
   SurfacePyramid(SurfacePlanes pixels, float radius);
-  /// footprint: side of this pixel on the surface, across the view.
+  /// levels: the pixels, and perhaps coarser levels of another image, whose memory is used again.
+  SurfacePyramid(std::vector<SurfacePlanes> levels, float radius);
+  /// Of all pixels of a row. footprints: side of each pixel on the surface, across the view; 0 where nobody asks.
+  void means(int y, std::span<const float> footprints, std::span<SurfaceMean> means) const;
   SurfaceMean mean(int x, int y, float footprint) const;
-  /// Gives the pixels back.
-  SurfacePlanes release() && { return std::move(levels_[0]); }
+  /// Gives pixels and coarser levels back.
+  std::vector<SurfacePlanes> release() && { return std::move(levels_); }
 
  private:
-  static SurfacePlanes halve(const SurfacePlanes& fine, float radius);
+  struct Ball;
+  std::optional<Ball> ball_around(int x, int y, float footprint) const;
+  std::array<SurfaceMean, kBallsTogether> means_of(std::span<const Ball> balls, int y) const;
+  static void halve(const SurfacePlanes& fine, float radius, SurfacePlanes& coarse);
   std::vector<SurfacePlanes> levels_;
   float radius_ = 0;
 };

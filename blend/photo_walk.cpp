@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <atomic>
 #include <numeric>
+#include <utility>
 
 #include "stream/base/error.h"
 #include "stream/base/parallel.h"
@@ -105,18 +106,21 @@ std::size_t PhotoWalk::take(std::span<const std::uint32_t> photographs, const Ta
   const std::uint64_t held_before = budget_.used_bytes(), most = budget_.free_bytes() / 3;   // the rest is for preparing windows, and for leaves
   std::size_t taken = 0;
   for (; taken < photographs.size() && group.size() < kMostTogether; ++taken) {
-    if (!group.empty() && budget_.used_bytes() - held_before + rows_bytes() > most) break;   // windows that the cache holds take nothing more, rows do
+    const auto held = [&] { return budget_.used_bytes() - held_before - windows_.room_bytes(); };
+    if (!group.empty() && held() + rows_bytes() > most) break;   // windows that the cache holds take nothing more, rows do
     Member m = member_for(photographs[taken]);
     if (!is_wanted_anywhere(m, task)) continue;
-    m.window = windows_.whole(*photographs_[m.k], budget_.used_bytes() - held_before, most);
+    m.window = windows_.whole(*photographs_[m.k], held(), most);
     if (!m.window && !group.empty()) break;
     read_[m.k] = true;
     if (!m.window) {
+      windows_.give_room_back();
       take_in_bands(m, task);
       return taken + 1;
     }
     group.push_back(std::move(m));
   }
+  windows_.give_room_back();
   if (!group.empty()) visit_leaves(group, task);
   return taken;
 }
@@ -128,12 +132,15 @@ void PhotoWalk::take_in_bands(Member& m, const Task& task) {
   const int height = rasters.height(), halo = halo_rows(options, footprints(rasters).smallest());
   const std::uint64_t row_bytes = static_cast<std::uint64_t>(rasters.width()) * window_bytes_per_pixel(options.wider);
   const int band = band_rows(budget_, row_bytes, height, halo + task.margin);
+  WindowRoom room;
+  int room_rows = 0;
   for (m.y0 = 0; m.y0 < height; m.y0 += band) {
     m.y1 = std::min(height, m.y0 + band);
     if (!is_wanted_anywhere(m, task)) continue;
     const int held = std::min(height, m.y1 + task.margin + halo) - std::max(0, m.y0 - task.margin - halo);
+    if (held < std::exchange(room_rows, held)) room = {};   // is not charged for any more
     const BudgetLease lease(budget_, static_cast<std::uint64_t>(held) * row_bytes, concat("rows of photograph ", photograph.name));
-    m.window = std::make_shared<const PhotoWindow>(load_window(rasters, photograph.camera, m.y0, m.y1, task.margin, halo, options));
+    m.window = std::make_shared<const PhotoWindow>(load_window(rasters, photograph.camera, m.y0, m.y1, task.margin, halo, options, room));
     visit_leaves(std::span(&m, 1), task);
     m.window.reset();
   }

@@ -1,9 +1,11 @@
 #include "blend/photo_window.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <functional>
 #include <numeric>
+#include <span>
 
 #include "blend/view_weights.h"
 #include "stream/base/error.h"
@@ -25,85 +27,115 @@ void check_raster(const stream::RasterReader& raster, const std::filesystem::pat
 struct Preparation {
   const stream::Camera& camera;
   int width = 0, y0 = 0, rows = 0;
+  WindowRoom& room;             ///< edge_px: from the rim of the blur
   std::vector<WindowPixel> pixels;
-  SurfacePlanes surface;
-  std::vector<float> cosv, edge;
-  std::vector<std::uint8_t> masked, saturated;
   std::size_t size() const { return static_cast<std::size_t>(width) * static_cast<std::size_t>(rows); }
-  /// Diameter of the lens's blur, pixels; 0 where the focus is not known.
-  float blur_px(std::size_t i) const {
-    if (!(camera.focus.aperture > 0 && pixels[i].depth > 0)) return 0;
-    const auto across = static_cast<std::size_t>(width);
-    const auto direction = stream::unproject(camera.lens, {static_cast<double>(i % across) + 0.5, static_cast<double>(i / across) + y0 + 0.5});
-    return direction ? static_cast<float>(stream::blur_px(camera, direction->z() * static_cast<double>(pixels[i].depth))) : 0;
-  }
 };
 
-template <class Set>
-void for_plane(const stream::RasterReader& raster, const char* plane, Preparation& p, const Set& set) {
-  const auto values = raster.rows<float>(plane, p.y0, p.rows);
-  parallel_blocks(values.size(), 1 << 16, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) set(i, values[i]);
-  });
-}
+/// What the rasters say of some rows, as it is packed there; room that is used again.
+struct PackedRows {
+  std::vector<float> depth, nx, ny, nz, radius, footprint, cosv, edge, coverage, spread, red, green, blue, sigma, shared;   ///< spread, shared: empty where the rasters have none
+  std::vector<std::uint8_t> mask;
 
-void read_geometry(const PhotographRasters& rasters, Preparation& p) {
-  const stream::RasterReader& g = rasters.gbuffer();
-  for_plane(g, "depth", p, [&](std::size_t i, float v) { p.pixels[i].depth = std::isfinite(v) && v > 0 ? v : 0; });
-  for_plane(g, "nx", p, [&](std::size_t i, float v) { p.pixels[i].normal.x() = v; });
-  for_plane(g, "ny", p, [&](std::size_t i, float v) { p.pixels[i].normal.y() = v; });
-  for_plane(g, "nz", p, [&](std::size_t i, float v) { p.pixels[i].normal.z() = v; });
-  for_plane(g, "radius", p, [&](std::size_t i, float v) { p.pixels[i].radius = v; });
-  for_plane(g, "footprint", p, [&](std::size_t i, float v) { p.pixels[i].footprint = v; });
-  p.cosv = g.rows<float>("cosv", p.y0, p.rows);
-  p.edge = g.rows<float>("edge", p.y0, p.rows);
-}
-
-void read_mask(const PhotographRasters& rasters, Preparation& p) {
-  const auto mask = rasters.radiance().rows<std::uint8_t>("mask", p.y0, p.rows);
-  p.masked.resize(mask.size());
-  p.saturated.resize(mask.size());
-  for (std::size_t i = 0; i < mask.size(); ++i) {
-    p.saturated[i] = (mask[i] & kMaskSaturated) != 0;
-    p.masked[i] = !p.saturated[i] && ((mask[i] & kMaskUsable) == 0 || (mask[i] & kMaskNotFinite) != 0);
+  void read(const PhotographRasters& rasters, int y0, int rows) {
+    const stream::RasterReader &g = rasters.gbuffer(), &a = rasters.albedo();
+    const auto plane = [&](const stream::RasterReader& from, const char* name, auto& to) {
+      to.resize(static_cast<std::size_t>(rows) * static_cast<std::size_t>(from.width()));
+      from.read_rows(name, y0, rows, std::as_writable_bytes(std::span(to)));
+    };
+    plane(g, "depth", depth);
+    plane(g, "nx", nx);
+    plane(g, "ny", ny);
+    plane(g, "nz", nz);
+    plane(g, "radius", radius);
+    plane(g, "footprint", footprint);
+    plane(g, "cosv", cosv);
+    plane(g, "edge", edge);
+    plane(g, "coverage", coverage);
+    if (g.has("spread")) plane(g, "spread", spread);   // there with a flash
+    plane(a, "r", red);
+    plane(a, "g", green);
+    plane(a, "b", blue);
+    plane(a, "sigma", sigma);
+    if (a.has("shared")) plane(a, "shared", shared);
+    plane(rasters.radiance(), "mask", mask);
   }
-}
-
-/// Empty without a flash.
-std::vector<float> spread_of(const stream::RasterReader& gbuffer, int y0, int rows) {
-  return gbuffer.has("spread") ? gbuffer.rows<float>("spread", y0, rows) : std::vector<float>();
-}
+  /// The albedo stands in `low` until the bands are split.
+  WindowPixel pixel(std::size_t i) const {
+    const auto deviation = [](float v, float unknown) { return std::isfinite(v) ? std::max(v, 0.0f) : unknown; };
+    WindowPixel pixel;
+    pixel.depth = std::isfinite(depth[i]) && depth[i] > 0 ? depth[i] : 0;
+    pixel.footprint = footprint[i];
+    pixel.radius = radius[i];
+    pixel.normal = Vec3f(nx[i], ny[i], nz[i]);
+    pixel.sigma = deviation(sigma[i], 1);
+    pixel.low = Vec3f(red[i], green[i], blue[i]);
+    pixel.shared = shared.empty() ? 0 : deviation(shared[i], 0);
+    return pixel;
+  }
+};
 
 PixelEvidence own_evidence(const WindowPixel& pixel, float blur_px, float spread, float coverage) {
   return {.footprint = pixel.footprint, .blur_px = blur_px, .sigma = std::hypot(pixel.sigma, pixel.shared), .spread = spread, .coverage = coverage};
 }
 
-/// Albedo, quality (kept in `weight` until the bands are split) and place on the surface of the pixels that may be used.
-void read_values(const PhotographRasters& rasters, Preparation& p, const WindowOptions& options) {
-  const stream::RasterReader& a = rasters.albedo();
-  for_plane(a, "r", p, [&](std::size_t i, float v) { p.pixels[i].low.x() = v; });   // the albedo itself until the bands are split
-  for_plane(a, "g", p, [&](std::size_t i, float v) { p.pixels[i].low.y() = v; });
-  for_plane(a, "b", p, [&](std::size_t i, float v) { p.pixels[i].low.z() = v; });
-  for_plane(a, "sigma", p, [&](std::size_t i, float v) { p.pixels[i].sigma = std::isfinite(v) ? std::max(v, 0.0f) : 1.0f; });
-  if (a.has("shared")) for_plane(a, "shared", p, [&](std::size_t i, float v) { p.pixels[i].shared = std::isfinite(v) ? std::max(v, 0.0f) : 0.0f; });
-  const stream::RasterReader& g = rasters.gbuffer();
-  const auto coverage = g.rows<float>("coverage", p.y0, p.rows);
-  const auto spread = spread_of(g, p.y0, p.rows);
-  p.surface = SurfacePlanes(p.width, p.rows);
-  parallel_blocks(p.size(), 1 << 14, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) {
-      WindowPixel& pixel = p.pixels[i];
-      const float blur_px = p.blur_px(i), quality = pixel_quality(own_evidence(pixel, blur_px, spread.empty() ? 0 : spread[i], coverage[i]), options.scale());
-      if (!(pixel.depth > 0) || p.masked[i] || p.saturated[i] || !pixel.low.allFinite() || !pixel.normal.allFinite() || !std::isfinite(pixel.radius) ||
-          !(p.edge[i] - 0.5f * blur_px > kMixedPixels) || !(p.cosv[i] > kLeastViewCos) || !(quality > 0))
-        continue;
-      const auto x = static_cast<int>(i % static_cast<std::size_t>(p.width)), y = static_cast<int>(i / static_cast<std::size_t>(p.width));
-      const Vec2d middle(x + 0.5, y + p.y0 + 0.5);
-      const auto direction = stream::unproject(p.camera.lens, middle);
-      if (!direction) continue;
+/// Where a pixel looks, asked for at most once.
+class Sight {
+ public:
+  Sight(const stream::Camera& camera, const Vec2d& middle) : camera_(camera), middle_(middle) {}
+  const std::optional<Vec3d>& direction() {
+    if (!asked_) direction_ = stream::unproject(camera_.lens, middle_);
+    asked_ = true;
+    return direction_;
+  }
+  /// Diameter of the lens's blur, pixels; 0 where the focus is not known.
+  float blur_px(float depth) {
+    if (!(camera_.focus.aperture > 0 && depth > 0) || !direction()) return 0;
+    return static_cast<float>(stream::blur_px(camera_, direction_->z() * static_cast<double>(depth)));
+  }
+
+ private:
+  const stream::Camera& camera_;
+  Vec2d middle_;
+  std::optional<Vec3d> direction_;
+  bool asked_ = false;
+};
+
+/// One pixel: what it is and, if it may be used, its quality (kept in `weight` until the bands are split) and place on the surface.
+void prepare_pixel(const PackedRows& packed, std::size_t from, int x, int y, const WindowOptions& options, Preparation& p) {
+  const std::size_t i = static_cast<std::size_t>(y) * static_cast<std::size_t>(p.width) + static_cast<std::size_t>(x);
+  WindowPixel pixel = packed.pixel(from);
+  Sight sight(p.camera, Vec2d(x + 0.5, y + p.y0 + 0.5));
+  const float cosv = packed.cosv[from], blur_px = sight.blur_px(pixel.depth);
+  const float edge_px = p.room.edge_px[i] = packed.edge[from] - 0.5f * blur_px;
+  const bool is_saturated = p.room.saturated[i] = (packed.mask[from] & kMaskSaturated) != 0;
+  const bool is_masked = p.room.masked[i] = !is_saturated && ((packed.mask[from] & kMaskUsable) == 0 || (packed.mask[from] & kMaskNotFinite) != 0);
+  SurfacePlanes& surface = p.room.surface[0];
+  surface.leave_out(x, y);
+  if (pixel.depth > 0 && !is_masked && !is_saturated && pixel.low.allFinite() && pixel.normal.allFinite() && std::isfinite(pixel.radius) && edge_px > kMixedPixels && cosv > kLeastViewCos) {
+    const float quality = pixel_quality(own_evidence(pixel, blur_px, packed.spread.empty() ? 0 : packed.spread[from], packed.coverage[from]), options.scale());
+    if (quality > 0 && sight.direction()) {
       const float side = pixel.footprint / options.reference_footprint;
-      p.surface.set(x, y, {Vec3f((*direction * static_cast<double>(pixel.depth)).cast<float>()), side * side / p.cosv[i], pixel.low, pixel.normal, p.cosv[i]});
+      surface.set(x, y, {Vec3f((*sight.direction() * static_cast<double>(pixel.depth)).cast<float>()), side * side / cosv, pixel.low, pixel.normal, cosv});
       pixel.weight = quality;
+    }
+  }
+  p.pixels[i] = pixel;
+}
+
+/// All pixels, by the blocks of rows that the rasters pack together: a third of them at once at most, which take less than the coarser levels and distances later.
+void read_pixels(const PhotographRasters& rasters, const WindowOptions& options, Preparation& p) {
+  const int block = stream::raster_block_rows(p.width, rasters.height()), first = p.y0 / block, last = (p.y0 + p.rows + block - 1) / block;
+  const auto at_once = static_cast<std::size_t>(std::clamp((last - first) / 3, 1, ThreadLimit::current()));
+  std::atomic<int> next{first};
+  parallel_blocks(at_once, 1, [&](std::size_t, std::size_t) {
+    PackedRows packed;
+    for (int b = next++; b < last; b = next++) {
+      const int y0 = std::max(p.y0, b * block), y1 = std::min(p.y0 + p.rows, (b + 1) * block);
+      packed.read(rasters, y0, y1 - y0);
+      std::size_t from = 0;
+      for (int y = y0; y < y1; ++y)
+        for (int x = 0; x < p.width; ++x) prepare_pixel(packed, from++, x, y - p.y0, options, p);
     }
   });
 }
@@ -112,14 +144,14 @@ void read_values(const PhotographRasters& rasters, Preparation& p, const WindowO
 class Surroundings {
  public:
   Surroundings(Preparation& p, const WindowOptions& options)
-      : p_(p), to_mask_(distance_to_marked(p.masked, p.width, p.rows, options.border_px)),
-        to_saturated_(distance_to_marked(p.saturated, p.width, p.rows, saturation_ramp_px(options.border_px))), surface_(std::move(p.surface), options.low_radius) {}
+      : p_(p), to_mask_(distance_to_marked(p.room.masked, p.width, p.rows, options.border_px)),
+        to_saturated_(distance_to_marked(p.room.saturated, p.width, p.rows, saturation_ramp_px(options.border_px))), surface_(std::move(p.room.surface), options.low_radius) {}
   /// What it took over; there are no means after that.
-  SurfacePlanes release() { return std::move(surface_).release(); }
-  SurfaceMean mean(int x, int y) const { return surface_.mean(x, y, p_.pixels[index(x, y)].footprint); }
+  std::vector<SurfacePlanes> release() { return std::move(surface_).release(); }
+  const SurfacePyramid& surface() const { return surface_; }
   void add(int x, int y, float cosv, PixelEvidence& e) const {
     e.cosv = cosv;
-    e.edge_px = p_.edge[index(x, y)] - 0.5f * p_.blur_px(index(x, y));
+    e.edge_px = p_.room.edge_px[index(x, y)];
     e.mask_px = to_mask_[index(x, y)];
     e.saturated_px = to_saturated_[index(x, y)];
   }
@@ -131,53 +163,66 @@ class Surroundings {
   SurfacePyramid surface_;
 };
 
+/// Calls task(y, means of row y) for rows [first, last), side by side.
+template <class Task>
+void for_means(const Preparation& p, const SurfacePyramid& surface, int first, int last, const Task& task) {
+  const auto across = static_cast<std::size_t>(p.width);
+  parallel_blocks(static_cast<std::size_t>(last - first), 2, [&](std::size_t y0, std::size_t y1) {
+    std::vector<float> footprints(across);
+    std::vector<SurfaceMean> means(across);
+    for (std::size_t y = static_cast<std::size_t>(first) + y0; y < static_cast<std::size_t>(first) + y1; ++y) {
+      for (std::size_t x = 0; x < across; ++x) footprints[x] = p.pixels[y * across + x].footprint;
+      surface.means(static_cast<int>(y), footprints, means);
+      task(static_cast<int>(y), means);
+    }
+  });
+}
+
 /// Rows [first, last) of what is prepared are the window's.
 void split_bands(Preparation& p, const WindowOptions& options, int first, int last, PhotoWindow& window) {
   Surroundings around(p, options);
-  parallel_blocks(static_cast<std::size_t>(last - first), 2, [&](std::size_t y0, std::size_t y1) {
-    for (int y = first + static_cast<int>(y0); y < first + static_cast<int>(y1); ++y)
-      for (int x = 0; x < p.width; ++x) {
-        WindowPixel& pixel = p.pixels[around.index(x, y)];
-        const SurfaceMean mean = around.mean(x, y);
-        if (!mean.valid) {
-          pixel.weight = 0;
-          continue;
-        }
-        pixel.high = pixel.low - mean.albedo;
-        pixel.low = mean.albedo;
-        PixelEvidence evidence;
-        around.add(x, y, mean.cosv, evidence);
-        pixel.weight *= surroundings_quality(evidence, options.scale());
+  for_means(p, around.surface(), first, last, [&](int y, const std::vector<SurfaceMean>& means) {
+    for (int x = 0; x < p.width; ++x) {
+      WindowPixel& pixel = p.pixels[around.index(x, y)];
+      const SurfaceMean& mean = means[static_cast<std::size_t>(x)];
+      if (!mean.valid) {
+        pixel.weight = 0;
+        continue;
       }
+      pixel.high = pixel.low - mean.albedo;
+      pixel.low = mean.albedo;
+      PixelEvidence evidence;
+      around.add(x, y, mean.cosv, evidence);
+      pixel.weight *= surroundings_quality(evidence, options.scale());
+    }
   });
   window.wider = options.wider;
   window.wider_means.assign(static_cast<std::size_t>(last - first) * static_cast<std::size_t>(p.width * options.wider), Vec3f::Zero());
-  SurfacePlanes surface;
-  if (options.wider > 0) surface = around.release();
+  std::vector<SurfacePlanes> surface = around.release();
   for (int i = 0; i < options.wider; ++i) {
     SurfacePyramid pyramid(std::move(surface), options.wider_radius(i));
-    parallel_blocks(static_cast<std::size_t>(last - first), 2, [&](std::size_t y0, std::size_t y1) {
-      for (std::size_t y = y0; y < y1; ++y)
-        for (int x = 0; x < p.width; ++x) {
-          const int row = first + static_cast<int>(y);
-          const SurfaceMean mean = pyramid.mean(x, row, p.pixels[around.index(x, row)].footprint);
-          if (mean.valid) window.wider_means[(y * static_cast<std::size_t>(p.width) + static_cast<std::size_t>(x)) * static_cast<std::size_t>(options.wider) + static_cast<std::size_t>(i)] = mean.albedo;
-        }
+    for_means(p, pyramid, first, last, [&](int y, const std::vector<SurfaceMean>& means) {
+      for (int x = 0; x < p.width; ++x)
+        if (means[static_cast<std::size_t>(x)].valid) window.wider_means[around.index(x, y - first) * static_cast<std::size_t>(options.wider) + static_cast<std::size_t>(i)] = means[static_cast<std::size_t>(x)].albedo;
     });
     surface = std::move(pyramid).release();
   }
+  p.room.surface = std::move(surface);
 }
 
 /// Rows [y0, y1) with their halo, up to where only their surroundings are missing.
-Preparation prepare(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int halo, const WindowOptions& options) {
-  Preparation p{.camera = camera};
+Preparation prepare(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int halo, const WindowOptions& options, WindowRoom& room) {
+  Preparation p{.camera = camera, .room = room};
   p.width = rasters.width();
   p.y0 = std::max(0, y0 - halo + kPyramidRows - 1) / kPyramidRows * kPyramidRows;
   p.rows = std::min(rasters.height(), (y1 + halo) / kPyramidRows * kPyramidRows) - p.y0;
   p.pixels.resize(p.size());
-  read_geometry(rasters, p);
-  read_mask(rasters, p);
-  read_values(rasters, p, options);
+  room.edge_px.resize(p.size());
+  room.masked.resize(p.size());
+  room.saturated.resize(p.size());
+  room.surface.resize(std::max<std::size_t>(room.surface.size(), 1));
+  room.surface[0].fit(p.width, p.rows);
+  read_pixels(rasters, options, p);
   return p;
 }
 
@@ -260,16 +305,16 @@ int halo_rows(const WindowOptions& options, float smallest_footprint) {
 }
 
 std::size_t window_bytes_per_pixel(int wider) {
-  // pixel, surface and its coarser levels, cosv and edge, masks, two distances with their work array or two planes on the way in
-  return held_bytes_per_pixel(wider) + SurfacePlanes::bytes_per_pixel() * 4 / 3 + 2 * sizeof(float) + 2 + 3 * sizeof(float);
+  // pixel, surface and its coarser levels, edge, masks, two distances with their work array; before these, rows as they are packed
+  return held_bytes_per_pixel(wider) + SurfacePlanes::bytes_per_pixel() * 4 / 3 + sizeof(float) + 2 + 3 * sizeof(float);
 }
 
-PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options) {
+PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options, WindowRoom& room) {
   PhotoWindow window;
   window.width = rasters.width();
   window.y0 = std::max(0, y0 - margin);
   window.rows = std::min(rasters.height(), y1 + margin) - window.y0;
-  Preparation p = prepare(rasters, camera, y0 - margin, y1 + margin, halo, options);
+  Preparation p = prepare(rasters, camera, y0 - margin, y1 + margin, halo, options, room);
   const int first = window.y0 - p.y0;
   split_bands(p, options, first, first + window.rows, window);
   const auto begin = p.pixels.begin() + static_cast<std::ptrdiff_t>(first) * p.width;
@@ -280,8 +325,10 @@ PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& 
 }
 
 std::vector<SeenEvidence> load_evidence(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int step, int halo, const WindowOptions& options) {
-  Preparation p = prepare(rasters, camera, y0, y1, halo, options);
-  const auto coverage = rasters.gbuffer().rows<float>("coverage", y0, y1 - y0), spread = spread_of(rasters.gbuffer(), y0, y1 - y0);
+  WindowRoom room;
+  Preparation p = prepare(rasters, camera, y0, y1, halo, options, room);
+  const stream::RasterReader& g = rasters.gbuffer();
+  const auto coverage = g.rows<float>("coverage", y0, y1 - y0), cosv = g.rows<float>("cosv", y0, y1 - y0), spread = g.has("spread") ? g.rows<float>("spread", y0, y1 - y0) : std::vector<float>();
   const Surroundings around(p, options);
   const auto across = static_cast<std::size_t>((p.width + step - 1) / step), down = static_cast<std::size_t>((y1 - y0 + step - 1) / step);
   std::vector<SeenEvidence> all(across * down);
@@ -291,9 +338,9 @@ std::vector<SeenEvidence> load_evidence(const PhotographRasters& rasters, const 
       const std::size_t at = around.index(x, y), in_rows = around.index(x, y + p.y0 - y0);
       const WindowPixel& pixel = p.pixels[at];
       if (!(pixel.depth > 0)) continue;
-      const SurfaceMean mean = around.mean(x, y);
-      all[i] = {own_evidence(pixel, p.blur_px(at), spread.empty() ? 0 : spread[in_rows], coverage[in_rows]), true, pixel.weight > 0 && mean.valid};
-      around.add(x, y, mean.valid ? mean.cosv : p.cosv[at], all[i].evidence);
+      const SurfaceMean mean = around.surface().mean(x, y, pixel.footprint);
+      all[i] = {own_evidence(pixel, Sight(camera, Vec2d(x + 0.5, y + p.y0 + 0.5)).blur_px(pixel.depth), spread.empty() ? 0 : spread[in_rows], coverage[in_rows]), true, pixel.weight > 0 && mean.valid};
+      around.add(x, y, mean.valid ? mean.cosv : cosv[in_rows], all[i].evidence);
     }
   });
   return all;

@@ -78,6 +78,13 @@ struct PhotoWindow {
   }
 };
 
+/// Memory for what only preparing a window needs: used again for the next one, as fresh pages cost a tenth of preparing.
+struct WindowRoom {
+  std::vector<SurfacePlanes> surface;   ///< pixels and coarser levels
+  std::vector<float> edge_px;
+  std::vector<std::uint8_t> masked, saturated;
+};
+
 /// Rows that must be read above and below so that every pixel of the window is final.
 int halo_rows(const WindowOptions& options, float smallest_footprint);
 /// Memory while a window is prepared, per pixel, halo included; and of the finished one.
@@ -85,7 +92,11 @@ std::size_t window_bytes_per_pixel(int wider = 0);
 inline std::size_t held_bytes_per_pixel(int wider) { return sizeof(WindowPixel) + static_cast<std::size_t>(wider) * sizeof(Vec3f); }
 
 /// Pixels whose surfels belong to rows [y0, y1), with `margin` rows more on both sides: one for interpolation, more where it is read beside the surfel.
-PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options);
+PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options, WindowRoom& room);
+inline PhotoWindow load_window(const PhotographRasters& rasters, const stream::Camera& camera, int y0, int y1, int margin, int halo, const WindowOptions& options) {
+  WindowRoom room;
+  return load_window(rasters, camera, y0, y1, margin, halo, options, room);
+}
 
 /// What the weight of a pixel is made of. is_read: surfels are read there; its weight is the product of all criteria.
 struct SeenEvidence {

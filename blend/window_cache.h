@@ -19,12 +19,17 @@ class WindowCache {
   /// All rows of a photograph, from where they are or prepared now; the budget holds them as long as the pointer lives. nullptr if there is no room: where
   /// it takes more than what `held` leaves of `most`, or cannot be prepared at once.
   std::shared_ptr<const PhotoWindow> whole(const BlendPhotograph& photograph, std::uint64_t held, std::uint64_t most);
+  /// What the budget holds for preparing the next one. Callers give it back once they have all that they want.
+  std::uint64_t room_bytes() const { return room_lease_.bytes(); }
+  void give_room_back();
   const WindowOptions& options() const { return options_; }
 
  private:
   WindowOptions options_;
   MemoryBudget& budget_;
   std::uint64_t most_kept_, kept_bytes_ = 0;
+  WindowRoom room_;
+  BudgetLease room_lease_;
   std::map<const BlendPhotograph*, std::shared_ptr<const PhotoWindow>> kept_;
 };
 

@@ -15,6 +15,7 @@ namespace {
 
 constexpr int kMaxSidePx = 1 << 20;
 constexpr double kMaxTan2 = 1e8;  // tan^2 of the widest perspective ray that is looked at: 89.994 degrees
+constexpr double kPlainRadius = 4999;   // below half of the largest: the search for the radius begins with its end
 constexpr double kMaxTheta2 = std::numbers::pi * std::numbers::pi;
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
@@ -126,7 +127,7 @@ struct Distorted {
 
 bool has_tangential(const Lens& lens) { return lens.p[0] != 0 || lens.p[1] != 0; }
 
-Distorted distort(const Lens& lens, const Radial& radial, double x, double y) {
+Distorted distort_radially(const Radial& radial, double x, double y) {
   const double s = x * x + y * y;
   const auto& n = radial.numerator;
   const auto& d = radial.denominator;
@@ -145,7 +146,13 @@ Distorted distort(const Lens& lens, const Radial& radial, double x, double y) {
   out.xx = rho + 2 * x * x * rho_slope;
   out.xy = out.yx = 2 * x * y * rho_slope;
   out.yy = rho + 2 * y * y * rho_slope;
+  return out;
+}
+
+Distorted distort(const Lens& lens, const Radial& radial, double x, double y) {
+  Distorted out = distort_radially(radial, x, y);
   if (!has_tangential(lens)) return out;
+  const double s = x * x + y * y;
   const auto [p1, p2, p3, p4] = lens.p;
   const double t = 1 + s * (p3 + s * p4), t_slope = p3 + 2 * s * p4;
   const double tx = 2 * p1 * x * y + p2 * (s + 2 * x * x), ty = p1 * (s + 2 * y * y) + 2 * p2 * x * y;
@@ -170,9 +177,7 @@ double undistort_radius(const Lens& lens, const Radial& radial, double wanted) {
   const double end = lens.kind == LensKind::kFisheye ? kMaxTheta2 : kMaxTan2;
   double lo = 0, hi = std::sqrt(std::min(fold, end));
   const auto distorted_radius = [&](double r, double& slope) {
-    Lens plain = lens;
-    plain.p = {};
-    const Distorted d = distort(plain, radial, r, 0);
+    const Distorted d = distort_radially(radial, r, 0);
     slope = d.xx;
     return d.x;
   };
@@ -223,6 +228,7 @@ std::optional<Vec2d> project(const Lens& lens, const Vec3d& p_in_camera) {
 std::optional<Vec3d> unproject(const Lens& lens, const Vec2d& pixel) {
   constexpr double kTolerance = 1e-10;
   const double y_wanted = (pixel.y() - lens.cy) / lens.fy, x_wanted = (pixel.x() - lens.cx - lens.skew * y_wanted) / lens.fx;
+  if (std::abs(x_wanted) + std::abs(y_wanted) < kPlainRadius && is_pinhole(lens)) return Vec3d(x_wanted, y_wanted, 1).normalized();   // what the search below ends with, to the bit
   const double r_wanted = std::hypot(x_wanted, y_wanted);
   if (!std::isfinite(r_wanted)) return std::nullopt;
   const Radial radial = radial_of(lens);

@@ -5,12 +5,9 @@
 #include <cstdint>
 
 #include "stream/base/intrinsics.h"
+#include "stream/base/vector_width.h"
 #include "stream/store/near_kernels.h"
 
-#if defined(__x86_64__)
-#define CHIARO_AVX2 __attribute__((target("avx2,popcnt")))
-#define CHIARO_AVX512 __attribute__((target("avx512f,avx512bw,avx512dq,avx512vl,avx2,popcnt")))
-#endif
 #define CHIARO_INLINE inline __attribute__((always_inline))
 
 namespace chiaro::stream {
@@ -23,9 +20,6 @@ struct LaneTypes {
   typedef double Doubles __attribute__((vector_size(8 * N)));
   typedef std::int64_t DoubleMask __attribute__((vector_size(8 * N)));
 };
-
-/// The way that is taken, see limit_vectors().
-VectorWidth vector_width();
 
 template <class Vector, class T>
 CHIARO_INLINE void load(const T* from, Vector& to) {

@@ -9,16 +9,6 @@
 namespace chiaro::stream {
 namespace {
 
-VectorWidth widest_of_processor() {
-#if defined(CHIARO_AVX2)
-  const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("popcnt");
-  if (avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl")) return VectorWidth::kAvx512;
-  if (avx2) return VectorWidth::kAvx2;
-#endif
-  return VectorWidth::kPlain;
-}
-VectorWidth width = widest_of_processor();
-
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 template <std::size_t N>
@@ -162,9 +152,6 @@ CHIARO_AVX512 void moments_avx512(const CandidateView& c, const LanePoints& p, c
 
 }  // namespace
 
-void limit_vectors(VectorWidth widest) { width = std::min(widest, widest_of_processor()); }
-VectorWidth vector_width() { return width; }
-
 // Vectors are stored whole, so that there has to be room for one behind the last number.
 void NeighbourRow::reserve(std::size_t most) {
   const std::size_t room = most + 2 * kLanes;
@@ -183,16 +170,16 @@ void NeighbourRow::pad() {
 
 void nearest_of(const CandidateView& c, const LanePoints& p, Nearest& out) {
 #if defined(CHIARO_AVX2)
-  if (width == VectorWidth::kAvx512) return nearest_avx512(c, p, out);
-  if (width == VectorWidth::kAvx2) return nearest_avx2(c, p, out);
+  if (vector_width() == VectorWidth::kAvx512) return nearest_avx512(c, p, out);
+  if (vector_width() == VectorWidth::kAvx2) return nearest_avx2(c, p, out);
 #endif
   nearest_body<8>(c, p, out);
 }
 
 void distances_of(const Nearest& nearest, LaneFloats& sixth, LaneFloats& mean) {
 #if defined(CHIARO_AVX2)
-  if (width == VectorWidth::kAvx512) return distances_avx512(nearest, sixth, mean);
-  if (width == VectorWidth::kAvx2) return distances_avx2(nearest, sixth, mean);
+  if (vector_width() == VectorWidth::kAvx512) return distances_avx512(nearest, sixth, mean);
+  if (vector_width() == VectorWidth::kAvx2) return distances_avx2(nearest, sixth, mean);
 #endif
   distances_body(nearest, sixth, mean);
 }
@@ -200,7 +187,7 @@ void distances_of(const Nearest& nearest, LaneFloats& sixth, LaneFloats& mean) {
 Moments moments_within(const NeighbourRow& row, float limit) {
   Moments out;
 #if defined(CHIARO_AVX2)
-  if (width >= VectorWidth::kAvx2) {
+  if (vector_width() >= VectorWidth::kAvx2) {
     row_moments_avx2(row, limit, out);
     return out;
   }
@@ -211,8 +198,8 @@ Moments moments_within(const NeighbourRow& row, float limit) {
 
 void add_moments(const CandidateView& c, const LanePoints& p, const LaneFloats& limits, LaneMoments& out) {
 #if defined(CHIARO_AVX2)
-  if (width == VectorWidth::kAvx512) return moments_avx512(c, p, limits, out);
-  if (width == VectorWidth::kAvx2) return moments_avx2(c, p, limits, out);
+  if (vector_width() == VectorWidth::kAvx512) return moments_avx512(c, p, limits, out);
+  if (vector_width() == VectorWidth::kAvx2) return moments_avx2(c, p, limits, out);
 #endif
   moments_body<8>(c, p, limits, out);
 }

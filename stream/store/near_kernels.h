@@ -7,10 +7,6 @@
 
 namespace chiaro::stream {
 
-enum class VectorWidth { kPlain, kAvx2, kAvx512 };
-/// For tests: nothing wider, even where the processor has it.
-void limit_vectors(VectorWidth widest);
-
 /// Points that are worked on together, and what arrays are padded to.
 inline constexpr std::uint32_t kLanes = 16;
 inline constexpr std::size_t kNearest = 6;

@@ -131,16 +131,18 @@ TEST(Bands, DistancesAgreeWithThePlainSearch) {
   constexpr int kWidth = 37, kRows = 29;
   constexpr float kCap = 9;
   std::vector<std::uint8_t> marked(kWidth * kRows);
-  for (std::size_t i = 0; i < marked.size(); ++i) marked[i] = uniform01(11, Purpose::kTest, i, 0) < 0.01f;
-  const auto distance = distance_to_marked(marked, kWidth, kRows, kCap);
-  for (int y = 0; y < kRows; ++y)
-    for (int x = 0; x < kWidth; ++x) {
-      float best = kCap;
-      for (int v = 0; v < kRows; ++v)
-        for (int u = 0; u < kWidth; ++u)
-          if (marked[static_cast<std::size_t>(v * kWidth + u)]) best = std::min(best, std::hypot(static_cast<float>(u - x), static_cast<float>(v - y)));
-      ASSERT_NEAR(distance[static_cast<std::size_t>(y * kWidth + x)], best, 1e-4f);
-    }
+  for (const float share : {0.0f, 0.002f, 0.01f, 0.2f}) {
+    for (std::size_t i = 0; i < marked.size(); ++i) marked[i] = uniform01(11, Purpose::kTest, i, 0) < share;
+    const auto distance = distance_to_marked(marked, kWidth, kRows, kCap);
+    for (int y = 0; y < kRows; ++y)
+      for (int x = 0; x < kWidth; ++x) {
+        float best = kCap;
+        for (int v = 0; v < kRows; ++v)
+          for (int u = 0; u < kWidth; ++u)
+            if (marked[static_cast<std::size_t>(v * kWidth + u)]) best = std::min(best, std::hypot(static_cast<float>(u - x), static_cast<float>(v - y)));
+        ASSERT_NEAR(distance[static_cast<std::size_t>(y * kWidth + x)], best, 1e-4f) << share;
+      }
+  }
 }
 
 TEST(ViewWeights, RampsStartAtZeroAndEndAtOneWithoutAStep) {

@@ -343,6 +343,35 @@ TEST(Blend, AWindowsPixelsDoNotDependOnWhereItBegins) {
   }
 }
 
+TEST(Blend, MemoryThatIsUsedAgainLeavesNoTrace) {
+  const Workplace w(plane_scene());
+  ShotOptions masked;
+  masked.mask = [](int x, int y) -> std::uint8_t { return x > 120 ? 0 : y > 100 ? 1 | 2 : 1; };
+  const std::vector<BlendPhotograph> all{w.photograph("a", Vec3d(0.3, 0.5, 0.7), Vec3d(0.4, 0.5, 0)), w.photograph("b", Vec3d(0.1, 0.5, 0.5), Vec3d(0.3, 0.5, 0), masked),
+                                         shoot(w.scene, look_at("c", Vec3d(0.5, 0.5, 0.4), Vec3d(0.5, 0.5, 0), 61, 45, 60), w.folder.path())};
+  WindowRoom room;
+  const auto compare = [&](std::size_t k, int y0, int y1, int wider) {
+    const BlendPhotograph& p = all[k];
+    const PhotographRasters rasters(p.camera.lens, p.gbuffer, p.albedo, p.radiance);
+    const WindowOptions options{.low_radius = 0.03f, .reference_footprint = 0.005f, .border_px = 12, .wider = wider};
+    const int halo = halo_rows(options, footprints(rasters).smallest()), last = std::min(y1, rasters.height());
+    const PhotoWindow again = load_window(rasters, p.camera, y0, last, 1, halo, options, room), fresh = load_window(rasters, p.camera, y0, last, 1, halo, options);
+    std::size_t read = 0;
+    ASSERT_EQ(again.pixels.size(), fresh.pixels.size());
+    for (std::size_t i = 0; i < fresh.pixels.size(); ++i) {
+      ASSERT_EQ(again.pixels[i].weight, fresh.pixels[i].weight) << k << " " << i;
+      ASSERT_EQ(again.pixels[i].low, fresh.pixels[i].low) << k << " " << i;
+      ASSERT_EQ(again.pixels[i].high, fresh.pixels[i].high) << k << " " << i;
+      read += fresh.pixels[i].weight > 0;
+    }
+    EXPECT_EQ(again.wider_means, fresh.wider_means);
+    EXPECT_GT(read, fresh.pixels.size() / 4);
+  };
+  for (const std::size_t k : {0u, 1u, 0u, 2u, 1u}) compare(k, 0, 120, k == 0 ? 2 : 0);
+  compare(0, 20, 60, 0);
+  compare(1, 40, 60, 1);
+}
+
 TEST(Blend, EvidenceOfAPixelMultipliesToItsWeight) {
   const Workplace w(plane_scene());
   ShotOptions shot;

@@ -55,6 +55,28 @@ TEST_F(PhotoWalkMemory, RowsOfLeavesAreCharged) {
   EXPECT_EQ(together - alone, (kMost - 1) * rows_bytes());
 }
 
+TEST_F(PhotoWalkMemory, RoomForTheNextPhotographIsChargedUntilItIsGivenBack) {
+  MemoryBudget budget(kPlenty);
+  WindowCache windows({0.1f}, budget);
+  const BlendPhotograph other = photo;
+  const std::uint64_t pixels = 16 * 12, window = pixels * held_bytes_per_pixel(0), room = pixels * window_bytes_per_pixel(0) - window;
+  for (const std::uint64_t held : {1u, 2u}) {
+    ASSERT_TRUE(windows.whole(held == 1 ? photo : other, 0, kPlenty));
+    EXPECT_EQ(windows.room_bytes(), room);
+    EXPECT_EQ(budget.used_bytes(), held * window + room);   // both stay
+  }
+  EXPECT_FALSE(windows.whole(*std::make_unique<BlendPhotograph>(photo), kPlenty, kPlenty));
+  windows.give_room_back();
+  EXPECT_EQ(windows.room_bytes(), 0u);
+  EXPECT_EQ(budget.used_bytes(), 2 * window);
+}
+
+TEST_F(PhotoWalkMemory, RoomForPreparingIsGivenBackBeforeLeavesAreVisited) {
+  const ThreadLimit one(1);
+  const std::uint64_t used = look(1, kPlenty).used_by_group.back(), most_besides = 16 * 12 * held_bytes_per_pixel(0) + rows_bytes();
+  EXPECT_LT(used, most_besides + stream::geometry_bytes(16) + 16 * 12 * (window_bytes_per_pixel(0) - held_bytes_per_pixel(0)));
+}
+
 TEST_F(PhotoWalkMemory, ASmallBudgetMakesSmallerGroups) {
   const Seen whole = look(kMost, kPlenty);
   EXPECT_EQ(whole.most_together, kMost);

@@ -125,6 +125,27 @@ TEST(Camera, RoundTripsDirectionsInsideTheMonotonicRange) {
   }
 }
 
+/// Without distortion there is nothing to search for; a lens with too little to change a number takes the long way.
+TEST(Camera, APinholesDirectionsHaveTheBitsOfTheSearch) {
+  for (std::uint64_t seed = 0; seed < 50; ++seed) {
+    Lens lens = random_lens(seed), searched;
+    lens.kind = LensKind::kPerspective;
+    lens.k = {};
+    lens.p = {};
+    searched = lens;
+    searched.k[0] = 1e-300;
+    ASSERT_TRUE(is_pinhole(lens) && !is_pinhole(searched));
+    for (std::uint32_t i = 0; i < 40; ++i) {
+      const double far = i % 2 == 0 ? 1 : 1e4;
+      const Vec2d pixel(uniform(seed, 300 + 2 * i, 0, lens.width_px) * far, uniform(seed, 301 + 2 * i, 0, lens.height_px) * far);
+      const auto ray = unproject(lens, pixel), other = unproject(searched, pixel);
+      ASSERT_EQ(ray.has_value(), other.has_value()) << "seed " << seed;
+      if (ray) EXPECT_EQ(*ray, *other) << "seed " << seed;
+    }
+  }
+  EXPECT_FALSE(unproject(plain_lens(), {std::nan(""), 0}));
+}
+
 TEST(Camera, RefusesPointsBeyondTheFoldOfTheLens) {
   Lens lens = plain_lens();
   lens.k[0] = -0.3;  // r (1 - 0.3 r^2) grows until r^2 = 1 / 0.9

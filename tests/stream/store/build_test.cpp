@@ -13,8 +13,8 @@
 #include "stream/base/error.h"
 #include "stream/base/file.h"
 #include "stream/base/parallel.h"
+#include "stream/base/vector_width.h"
 #include "stream/store/layer.h"
-#include "stream/store/near_kernels.h"
 #include "stream/store/store.h"
 
 namespace chiaro::stream {

@@ -6,7 +6,7 @@
 #include <limits>
 #include <vector>
 
-#include "stream/store/near_kernels.h"
+#include "stream/base/vector_width.h"
 
 namespace chiaro::stream {
 namespace {

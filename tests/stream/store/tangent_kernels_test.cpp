@@ -5,6 +5,8 @@
 #include <cmath>
 #include <vector>
 
+#include "stream/base/vector_width.h"
+
 namespace chiaro::stream {
 namespace {
 
