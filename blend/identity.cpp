@@ -66,7 +66,7 @@ std::string photograph_key(const BlendPhotograph& p) {
 
 std::string options_key(const stream::Store& store, const BlendOptions& options) {
   Hasher hash;
-  hash.add("blend accumulators 8").add(store.manifest().key).add(std::uint64_t{store.chunks().size()});
+  hash.add("blend accumulators 9").add(store.manifest().key).add(std::uint64_t{store.chunks().size()});
   hash.add(options.low_band_px).add(options.border_px).add(options.high_band_power);
   hash.add(std::uint64_t{options.reject}).add(static_cast<std::uint64_t>(options.gain)).add(std::uint64_t{options.align});
   if (options.bands != 2) hash.add("bands").add(static_cast<std::uint64_t>(options.bands));

@@ -55,7 +55,7 @@ class LayerStages {
     std::vector<blend::BlendPhotograph> photographs;
     std::vector<int> cells_px;
     blend::BlendOptions options;
-    Hasher h = keyed("blend 10");
+    Hasher h = keyed("blend 11");
     h.add(store.manifest().key);
     for (const Shoot& shoot : shoots_)
       for (const Photo& p : shoot.photos) {
