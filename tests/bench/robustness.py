@@ -66,7 +66,9 @@ def draw(rows, file):
     import matplotlib.pyplot as plt
     names = [n for n in disturbances.ALL if any(r["disturbance"] == n for r in rows)]
     scenes = sorted({r["scene"] for r in rows})
-    figure, axes = plt.subplots(2, -(-len(names) // 2), figsize=(3.1 * -(-len(names) // 2), 5.2), squeeze=False)
+    across = min(4, len(names))
+    down = -(-len(names) // across)
+    figure, axes = plt.subplots(down, across, figsize=(3.1 * across + 0.3, 2.6 * down), squeeze=False)
     for axis, name in zip(axes.flat, names):
         plain = disturbances.ALL[name][3]
         for k, scene in enumerate(scenes):
@@ -84,8 +86,8 @@ def draw(rows, file):
     for axis in list(axes.flat)[len(names):]:
         axis.axis("off")
     axes[0][0].legend(fontsize=7)
-    figure.supylabel("mean error of albedo, %: made (line), expected by sigma (dashed)", fontsize=8)
-    figure.tight_layout()
+    figure.supylabel("mean error of albedo, %: made (line), expected by sigma (dashed)", fontsize=8, x=0.005)
+    figure.tight_layout(rect=(0.02, 0, 1, 1))
     figure.savefig(file, dpi=90)
 
 
