@@ -3,16 +3,13 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstring>
+
+#include "blend/four.h"
 
 namespace chiaro::blend {
 namespace {
 
 constexpr float kLeastCos = 0.05f;   // beyond 87 degrees a tangent plane predicts nothing
-
-// Four pixels at once, a GCC and Clang extension.
-typedef float Four __attribute__((vector_size(16)));
-typedef std::int32_t FourLanes __attribute__((vector_size(16)));
 
 float larger(float a, float b) { return a < b ? b : a; }
 Four larger(float a, const Four& b) { return a < b ? b : Four{} + a; }
@@ -37,12 +34,6 @@ PixelAxes pixel_axes(const Vec3f& right_in_world, const Vec3f& direction) {
   return {right, direction.cross(right)};
 }
 
-Four load(const void* from) {
-  Four v;
-  std::memcpy(&v, from, sizeof v);
-  return v;
-}
-
 /// Columns from rows.
 void transpose(Four& a, Four& b, Four& c, Four& d) {
   const Four ab = __builtin_shufflevector(a, b, 0, 4, 1, 5), cd = __builtin_shufflevector(c, d, 0, 4, 1, 5);
@@ -60,11 +51,11 @@ struct PixelRows {
     for (std::size_t k = 0; k < 4; ++k) {
       shape[k] = normal[k] = low[k] = high[k] = Four{};
       if (!p.pixel[k]) continue;
-      const auto* from = reinterpret_cast<const std::byte*>(p.pixel[k]);
-      shape[k] = load(from);
-      normal[k] = load(from + sizeof(Four));
-      low[k] = load(from + 2 * sizeof(Four));
-      high[k] = load(from + 3 * sizeof(Four));
+      const auto* from = reinterpret_cast<const float*>(p.pixel[k]);
+      shape[k] = load_four(from);
+      normal[k] = load_four(from + 4);
+      low[k] = load_four(from + 8);
+      high[k] = load_four(from + 12);
     }
   }
 };
@@ -72,7 +63,7 @@ static_assert(sizeof(WindowPixel) == 4 * sizeof(Four));
 
 /// Which tangent planes of the pixels meet the surfel, and the cosines of their slants. A plane is met where the ray through the surfel does.
 struct Met {
-  FourLanes is;
+  FourMask is;
   Four cosv;
 };
 Met meet(const PixelRows& rows, const FourPixels& p, const SurfelView& view, const PixelAxes& axes) {
@@ -81,15 +72,15 @@ Met meet(const PixelRows& rows, const FourPixels& p, const SurfelView& view, con
   transpose(depth, footprint, radius, weight);
   transpose(nx, ny, nz, sigma);
   const float x = view.direction.x(), y = view.direction.y(), z = view.direction.z();
-  const Four du = load(p.du.data()), dv = load(p.dv.data()), angle = footprint / depth;
+  const Four du = load_four(p.du.data()), dv = load_four(p.dv.data()), angle = footprint / depth;
   const Four tx = x + angle * (du * axes.right.x() + dv * axes.down.x()), ty = y + angle * (du * axes.right.y() + dv * axes.down.y()), tz = z + angle * (du * axes.right.z() + dv * axes.down.z());
   const Four length = root(tx * tx + (ty * ty + tz * tz));
   const Four along = nx * x + (ny * y + nz * z), towards = nx * (tx / length) + (ny * (ty / length) + nz * (tz / length)), c = magnitude(along);
-  const FourLanes is_grazing = c < kLeastCos;
+  const FourMask is_grazing = c < kLeastCos;
   const Four distance = is_grazing ? depth : depth * towards / along;
   Met met;
   met.cosv = is_grazing ? Four{} + kLeastCos : c;
-  met.is = (magnitude(view.distance - distance) <= tolerance_of(view.radius + radius, footprint, met.cosv)) & (load(p.share.data()) > 0);
+  met.is = (magnitude(view.distance - distance) <= tolerance_of(view.radius + radius, footprint, met.cosv)) & (load_four(p.share.data()) > 0);
   return met;
 }
 
@@ -99,7 +90,7 @@ Vec3f first_three(const Four& v) { return {v[0], v[1], v[2]}; }
 std::optional<Sample> read_from(const FourPixels& p, const SurfelView& view, const PixelAxes& axes, const PhotoWindow& window) {
   const PixelRows rows(p);
   const Met met = meet(rows, p, view, axes);
-  const Four share = met.is ? load(p.share.data()) : Four{};
+  const Four share = met.is ? load_four(p.share.data()) : Four{};
   Four shape{}, normal{}, low{}, high{};
   float agreeing = 0;
   for (int k = 0; k < 4; ++k) {

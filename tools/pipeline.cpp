@@ -20,15 +20,6 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// What processes that were killed have left of their ScratchFolders. Other things that lie beside them may be gone on from.
-void remove_left_behind(const std::filesystem::path& scratch) {
-  std::vector<std::filesystem::path> left;
-  std::error_code code;
-  for (std::filesystem::directory_iterator it(scratch, code), end; !code && it != end; it.increment(code))
-    if (it->path().filename().string().starts_with("chiaro-")) left.push_back(it->path());
-  for (const std::filesystem::path& folder : left) std::filesystem::remove_all(folder, code);
-}
-
 class Pipeline {
  public:
   Pipeline(const Project& project, const std::filesystem::path& out, MemoryBudget& budget, RunRecord& record, Reporter& report)
@@ -36,7 +27,7 @@ class Pipeline {
 
   void run() {
     check_flash();
-    remove_left_behind(run_.folder.scratch());
+    ScratchFolder::remove_left_in(run_.folder.scratch());   // what else lies there may be gone on from
     write_text(run_.folder.project(), to_json(run_.project) + "\n");
     for (const std::string& note : run_.project.notes) run_.note_both(note);
     ingest();

@@ -7,6 +7,7 @@
 
 #include <cerrno>
 #include <cstring>
+#include <vector>
 
 #include "stream/base/error.h"
 
@@ -242,9 +243,11 @@ void remove_leftovers(const fs::path& part, const fs::path& path) {
   fs::remove_all(old_path(path), code);
 }
 
+constexpr const char* kScratchPrefix = "chiaro-";
+
 ScratchFolder::ScratchFolder(const fs::path& parent) {
   const fs::path base = parent.empty() ? fs::temp_directory_path() : parent;
-  std::string name = (base / "chiaro-XXXXXX").string();
+  std::string name = (base / concat(kScratchPrefix, "XXXXXX")).string();
   if (!::mkdtemp(name.data())) fail(name, "scratch folder cannot be made", errno);
   path_ = name;
 }
@@ -252,6 +255,14 @@ ScratchFolder::ScratchFolder(const fs::path& parent) {
 ScratchFolder::~ScratchFolder() {
   std::error_code code;
   fs::remove_all(path_, code);
+}
+
+void ScratchFolder::remove_left_in(const fs::path& parent) {
+  std::vector<fs::path> left;
+  std::error_code code;
+  for (fs::directory_iterator it(parent, code), end; !code && it != end; it.increment(code))
+    if (it->path().filename().string().starts_with(kScratchPrefix)) left.push_back(it->path());
+  for (const fs::path& folder : left) fs::remove_all(folder, code);
 }
 
 }  // namespace chiaro

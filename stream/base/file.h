@@ -105,6 +105,8 @@ class ScratchFolder {
   ScratchFolder& operator=(const ScratchFolder&) = delete;
   ~ScratchFolder();
   const std::filesystem::path& path() const { return path_; }
+  /// Removes those that processes that were killed have left in `parent`. Nobody else may be at work there.
+  static void remove_left_in(const std::filesystem::path& parent);
 
  private:
   std::filesystem::path path_;
